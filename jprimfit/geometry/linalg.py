@@ -40,7 +40,8 @@ class LinearSolution(NamedTuple):
 
     x: Float[Array, " d"]  # exactly 0, with derivative 0, where ok is False
     ok: Bool[Array, ""]
-    condition: Float[Array, ""]  # of the normal equations, inf without weight; carries no derivative
+    condition: Float[Array, ""]  # of the normal equations, inf where ok is False; carries no derivative
+    std: Float[Array, ""]  # standard error of x along its worst direction, from the residuals; carries no derivative
 
 
 def weighted_mean(points: Float[Array, "n d"], weights: Float[Array, " n"]) -> Float[Array, " d"]:
@@ -114,6 +115,7 @@ def ridge_solve(rows: Float[Array, "n d"], values: Float[Array, " n"], weights: 
     derivatives would be as large as the condition number.
     """
     num_unknowns = rows.shape[1]
+    identity = jnp.eye(num_unknowns, dtype=rows.dtype)
     weighted_rows = weights[:, None] * rows
     matrix = jnp.matmul(weighted_rows.T, rows, precision=HIGHEST)
     vector = jnp.matmul(weighted_rows.T, values, precision=HIGHEST)
@@ -121,13 +123,19 @@ def ridge_solve(rows: Float[Array, "n d"], values: Float[Array, " n"], weights: 
     matrix, vector = safe.divide(matrix, scale), safe.divide(vector, scale)
     eigenvalues = jnp.linalg.eigvalsh(jax.lax.stop_gradient(matrix))
     ok = eigenvalues[0] * MAX_CONDITION > eigenvalues[-1]
-    condition = jnp.where(ok, eigenvalues[-1] / jnp.where(ok, eigenvalues[0], 1), jnp.inf)
-    matrix = jnp.where(ok, matrix, jnp.eye(num_unknowns, dtype=rows.dtype))
-    vector = jnp.where(ok, vector, 0)
-    factor = jnp.linalg.cholesky(matrix + RIDGE * jnp.eye(num_unknowns, dtype=rows.dtype))
+    condition = jnp.where(ok, safe.divide(eigenvalues[-1], eigenvalues[0]), jnp.inf)
+    matrix, vector = jnp.where(ok, matrix, identity), jnp.where(ok, vector, 0)
+    factor = jnp.linalg.cholesky(matrix + RIDGE * identity)
     x = _cholesky_solve(factor, vector)
     x = x + _cholesky_solve(factor, vector - jnp.matmul(matrix, x, precision=HIGHEST))
-    return LinearSolution(x, ok, condition)
+    sq_residual = (jnp.matmul(rows, x, precision=HIGHEST) - values) ** 2
+    variance = safe.divide(jnp.sum(weights * sq_residual), scale * eigenvalues[0] * effective_count(weights))
+    return LinearSolution(x, ok, condition, jax.lax.stop_gradient(safe.sqrt(jnp.where(ok, variance, 0))))
+
+
+def effective_count(weights: Float[Array, " n"]) -> Float[Array, ""]:
+    """(sum w)^2 / sum w^2: the number of equal weights that average as well; 0 if the weights sum to 0."""
+    return safe.divide(jnp.sum(weights) ** 2, jnp.sum(weights * weights))
 
 
 def _cholesky_solve(factor: Float[Array, "d d"], vector: Float[Array, " d"]) -> Float[Array, " d"]:

@@ -68,3 +68,8 @@ def arctan2(y: Float[Array, "*shape"], x: Float[Array, "*shape"]) -> Float[Array
     """Angle of the point (x, y) in (-pi, pi]; 0 with derivative 0 at the origin."""
     nonzero = jnp.maximum(jnp.abs(x), jnp.abs(y)) > jnp.finfo(x.dtype).tiny ** 0.5
     return jnp.where(nonzero, jnp.arctan2(jnp.where(nonzero, y, 0), jnp.where(nonzero, x, 1)), 0)
+
+
+def unit_or(x: Float[Array, "n d"], fallback: Float[Array, " d"]) -> Float[Array, "n d"]:
+    """Direction of every row of x; the fallback, which should be a unit vector, for zero rows."""
+    return jnp.where(norm(x, keepdims=True) > 0, unit(x), fallback[None, :])
