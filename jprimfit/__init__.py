@@ -1,3 +1,41 @@
-"""jprimfit: from a scanned point cloud of a mechanical part to planes, spheres, cylinders and cones."""
+"""jprimfit: from a scanned point cloud of a mechanical part to planes, spheres, cylinders and cones.
+
+`scene = jprimfit.fit(points)` does the main job; `jprimfit.Scene.load(path)` reads its saved answer. Names are loaded
+when first used, so that `import jprimfit` costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from jprimfit.pipeline import fit
+    from jprimfit.scene import Scene
+    from jprimfit.types import Cone, Cylinder, Plane, Sphere
+
+__all__ = ["Cone", "Cylinder", "Plane", "Scene", "Sphere", "fit", "load_model"]
+
+_HOMES = {
+    "fit": "jprimfit.pipeline",
+    "Scene": "jprimfit.scene",
+    **dict.fromkeys(("Plane", "Sphere", "Cylinder", "Cone"), "jprimfit.types"),
+}
+
+
+def load_model(name_or_dir: str) -> Any:
+    """The network of that name or folder; none is shipped yet."""
+    raise ValueError(
+        f"no network is shipped yet, so '{name_or_dir}' cannot be loaded: "
+        "call jprimfit.fit, which works without one, by region growing."
+    )
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'jprimfit' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
