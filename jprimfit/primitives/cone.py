@@ -1,0 +1,153 @@
+"""Cones: all x with angle(x - apex, axis) = half_angle, one nappe. Fit: apex, then axis, then half-angle.
+
+In the half-plane through the axis a point has a height along it and a radius from it; the generator is the ray
+(cos, sin) of half_angle, `along` the coordinate on it. Where along < 0 the nearest surface point is the apex. Signs:
+signed_distance is positive outside. On the axis, where no direction is distinguished, normal and project take the
+first row of the axis' frame (linalg.frame_of), at the apex normal is -axis.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jprimfit.geometry import safe
+from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, moments, ridge_solve, weighted_mean
+from jprimfit.primitives.common import direction_determined, position_determined, standardise, steer
+from jprimfit.types import Cone, Discrepancy, Fit
+
+KIND = "cone"
+NUM_FREEDOM = 6
+
+MIN_HALF_ANGLE = 1e-3  # radians; as far from a right angle
+MAX_HALF_ANGLE = math.pi / 2 - MIN_HALF_ANGLE
+
+
+def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]) -> Fit:
+    """Apex = the point where the tangent planes meet, axis = the direction the normals share, half-angle = a mean.
+
+    The normals are unit vectors of any sign. The apex minimises sum w (normal·(apex - p))^2. With all normals turned
+    outwards, normal·axis is one constant, so the axis is the smallest direction of the centred normals; it points to
+    the side of the points. The half-angle is the weighted mean angle between it and p - apex, without sign.
+    Not ok: no weight, a plane, a cylinder (no apex), a sphere, a half-angle at its bounds.
+    """
+    standard = standardise(points, weights)
+    weights = standard.weights
+    mean = weighted_mean(standard.local, weights)
+    centred = standard.local - mean[None, :]
+    tangent = ridge_solve(normals, jnp.sum(normals * centred, axis=1), weights)
+    rays = centred - tangent.x[None, :]
+    directions = safe.unit(rays)
+    axis, eigenvalues = eigen_smallest(moments(_turned_outwards(normals, directions, weights), weights).covariance)
+    cosines = jnp.matmul(directions, axis, precision=HIGHEST)
+    sines = safe.norm(directions - cosines[:, None] * axis[None, :])
+    half_angle = jnp.sum(weights * safe.arctan2(sines, jnp.abs(cosines)))
+    ok = position_determined(tangent, jnp.ones((), points.dtype)) & direction_determined(eigenvalues, standard.count)
+    ok = ok & (half_angle > MIN_HALF_ANGLE) & (half_angle < MAX_HALF_ANGLE)
+    axis = jnp.where(jnp.sum(weights * cosines) < 0, -axis, axis)
+    apex = standard.center + standard.scale * (mean + tangent.x)
+    return Fit(Cone(axis, apex, jnp.clip(half_angle, MIN_HALF_ANGLE, MAX_HALF_ANGLE)), ok)
+
+
+def _turned_outwards(
+    normals: Float[Array, "n 3"], directions: Float[Array, "n 3"], weights: Float[Array, " n"]
+) -> Float[Array, "n 3"]:
+    """The normals with the signs that a cone with its apex at the origin of the directions would give them.
+
+    The mean direction lies inside the cone, hence behind every tangent plane, however partial the patch is.
+    """
+    inside = jax.lax.stop_gradient(weighted_mean(directions, weights))
+    inwards = jnp.matmul(jax.lax.stop_gradient(normals), inside, precision=HIGHEST) > 0
+    return jnp.where(inwards[:, None], -normals, normals)
+
+
+class _Profile(NamedTuple):
+    """Points in the half-plane through the axis."""
+
+    along: Float[Array, " n"]  # coordinate on the generator's line, from the apex
+    above: Float[Array, " n"]  # signed distance from the generator's line, positive outside
+    outwards: Float[Array, "n 3"]  # unit vector from the axis to the point
+    offset: Float[Array, "n 3"]  # from the apex to the point
+
+
+def _profile(primitive: Cone, points: Float[Array, "n 3"]) -> _Profile:
+    offset = points - primitive.apex[None, :]
+    height = jnp.matmul(offset, primitive.axis, precision=HIGHEST)
+    radial = offset - height[:, None] * primitive.axis[None, :]
+    radius = safe.norm(radial)
+    cosine, sine = jnp.cos(primitive.half_angle), jnp.sin(primitive.half_angle)
+    outwards = safe.unit_or(radial, frame_of(primitive.axis)[0])
+    return _Profile(height * cosine + radius * sine, radius * cosine - height * sine, outwards, offset)
+
+
+def signed_distance(primitive: Cone, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    """Length from the cone to each point, positive outside; |x - apex| for points behind the apex."""
+    profile = _profile(primitive, points)
+    return jnp.where(profile.along > 0, profile.above, safe.norm(profile.offset))
+
+
+def distance(primitive: Cone, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    """Unsigned length from each point to the cone: |x - apex| * sin(min(|angle - half_angle|, pi/2))."""
+    return jnp.abs(signed_distance(primitive, points))
+
+
+def normal(primitive: Cone, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Gradient of signed_distance: across the generator, or away from the apex for points behind it."""
+    profile = _profile(primitive, points)
+    cosine, sine = jnp.cos(primitive.half_angle), jnp.sin(primitive.half_angle)
+    across = cosine * profile.outwards - sine * primitive.axis[None, :]
+    away = safe.unit_or(profile.offset, -primitive.axis)
+    return jnp.where(profile.along[:, None] > 0, across, away)
+
+
+def project(primitive: Cone, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """The nearest point of the cone to each point; the apex for points behind it."""
+    profile = _profile(primitive, points)
+    cosine, sine = jnp.cos(primitive.half_angle), jnp.sin(primitive.half_angle)
+    generator = cosine * primitive.axis[None, :] + sine * profile.outwards
+    return primitive.apex[None, :] + jnp.maximum(profile.along, 0)[:, None] * generator
+
+
+def sample(
+    key: PRNGKeyArray, primitive: Cone, *, num_points: int, extent: Float[Array, ""] | float
+) -> Float[Array, "num_points 3"]:
+    """Points spread evenly over the surface from the apex to height extent above it."""
+    height_key, angle_key = jax.random.split(key)
+    dtype = primitive.axis.dtype
+    # The circumference, so the area per length of generator, grows linearly from the apex.
+    height = extent * jnp.sqrt(jax.random.uniform(height_key, (num_points,), dtype))
+    turn = jax.random.uniform(angle_key, (num_points,), dtype, maxval=2 * jnp.pi)
+    radius = height * jnp.tan(primitive.half_angle)
+    local = jnp.stack([radius * jnp.cos(turn), radius * jnp.sin(turn), height], axis=1)
+    return primitive.apex[None, :] + jnp.matmul(local, frame_of(primitive.axis), precision=HIGHEST)
+
+
+def transform(
+    primitive: Cone, rotation: Float[Array, "3 3"], translation: Float[Array, "3"], scale: Float[Array, ""] | float
+) -> Cone:
+    """The cone after x -> scale * R x + translation."""
+    axis = jnp.matmul(rotation, primitive.axis, precision=HIGHEST)
+    apex = scale * jnp.matmul(rotation, primitive.apex, precision=HIGHEST) + translation
+    return Cone(axis, apex, primitive.half_angle)
+
+
+def discrepancy(a: Cone, b: Cone) -> Discrepancy:
+    """Angle between the axes, distance between the apexes, difference of the half-angles.
+
+    The angle is in [0, pi]: the sign of a cone's axis is no gauge, opposite nappes are different surfaces.
+    """
+    size = jnp.abs(a.half_angle - b.half_angle)
+    return Discrepancy(safe.angle(a.axis, b.axis), safe.norm(a.apex - b.apex), size)
+
+
+def retract(primitive: Cone, step: Float[Array, "6"]) -> Cone:
+    """The cone with its axis tilted by step[:2] about the apex, this moved by step[2:5], the half-angle by step[5]."""
+    axis = steer(primitive.axis, frame_of(primitive.axis), step[:2])
+    return Cone(axis, primitive.apex + step[2:5], primitive.half_angle + step[5])
+
+
+def canonical(primitive: Cone, anchor: Float[Array, "3"]) -> Cone:
+    """The cone itself: its parameters are unique."""
+    return primitive
