@@ -6,6 +6,7 @@ normal distribution (Shoemake 1992). Clouds hold points as rows, so a rotated cl
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
@@ -22,23 +23,19 @@ def rotation_about(axis: Float[Array, "3"], angle: Float[Array, ""]) -> Float[Ar
 def rotation_between(source: Float[Array, "3"], target: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """The rotation by the least angle that turns the direction of source into that of target.
 
-    Opposite directions leave the axis open: then the half turn about some perpendicular of source. If one of the
-    vectors is zero, the identity.
+    It is the product of the reflections across source and across the middle of the two, hence exactly a rotation.
+    Opposite directions leave the axis open: then a half turn about some axis perpendicular to source. Not for zero
+    vectors.
     """
     source, target = safe.unit(source), safe.unit(target)
-    cross = _cross_matrix(jnp.cross(source, target))
-    identity = jnp.eye(3, dtype=source.dtype)
-    one_plus_cosine = 1 + jnp.dot(source, target, precision=HIGHEST)
-    # Below this the quotient has lost its digits: the directions are opposite but for 1e-3 rad (float32).
-    opposite = one_plus_cosine < 4 * jnp.finfo(source.dtype).eps
-    square = jnp.matmul(cross, cross, precision=HIGHEST)
-    turn = identity + cross + square / jnp.where(opposite, 1, one_plus_cosine)
-    perpendicular = frame_of(source)[0]
-    half_turn = 2 * jnp.outer(perpendicular, perpendicular) - identity
-    return jnp.where(opposite, half_turn, turn)
+    between = source + target
+    # The half turn stands for directions that are opposite but for 3e-4 rad (float32), whose middle is rounding.
+    opposite = jnp.sum(between * between) < jnp.finfo(source.dtype).eps
+    middle = jnp.where(opposite, frame_of(source)[0], safe.unit(jnp.where(opposite, source, between)))
+    return jnp.matmul(_reflection(middle), _reflection(source), precision=HIGHEST)
 
 
-def random_rotation(key: PRNGKeyArray, *, dtype: jnp.dtype | type = jnp.float32) -> Float[Array, "3 3"]:
+def random_rotation(key: PRNGKeyArray, *, dtype: DTypeLike = jnp.float32) -> Float[Array, "3 3"]:
     """A rotation drawn uniformly (Haar measure) from all rotations."""
     w, x, y, z = safe.unit(jax.random.normal(key, (4,), dtype))
     return jnp.array(
@@ -63,3 +60,7 @@ def apply(
 def _cross_matrix(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     x, y, z = vector
     return jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def _reflection(normal: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    return jnp.eye(3, dtype=normal.dtype) - 2 * jnp.outer(normal, normal)
