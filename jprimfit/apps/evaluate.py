@@ -1,0 +1,81 @@
+"""`jprimfit evaluate`: how well segmentations agree with the truth of a benchmark.
+
+Built so far: --protocol fit4cad, the overlap measures of evaluation/overlap over a file of Fit4CAD clouds.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's options to a parser."""
+    parser.add_argument("--protocol", choices=["fit4cad"], default="fit4cad", help="what is measured (default fit4cad)")
+    parser.add_argument("--data", type=Path, required=True, metavar="FILE", help="HDF5 file of the benchmark's clouds")
+    parser.add_argument(
+        "--clouds", default="1-1000", metavar="A-B", help="clouds PCA to PCB, such as 1-151 (default all)"
+    )
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th of them (default 1)")
+    parser.add_argument(
+        "--noise", type=float, default=0.0, metavar="P", help="Gaussian noise, sigma = P %% of the diagonal"
+    )
+    parser.add_argument("--rotate", action="store_true", help="turn every cloud at random (seeded)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the scores of every cloud as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Scores the clouds one after another, prints a line each and the means."""
+    from jprimfit import pipeline
+    from jprimfit.data.fit4cad import read_clouds
+    from jprimfit.evaluation import overlap
+
+    first, last = _range(arguments.clouds)
+    parts = []
+    for cloud in list(read_clouds(arguments.data, first=first, last=last))[:: max(arguments.every, 1)]:
+        cloud = _disturbed(cloud, noise=arguments.noise, rotate=arguments.rotate)
+        begin = time.perf_counter()
+        scene = pipeline.fit(cloud.points, model=None)
+        seconds = time.perf_counter() - begin
+        scored = overlap.score(cloud, scene.labels, scene.surface_of, tuple(p.kind for p in scene.primitives))
+        parts.append({"name": cloud.name, "points": len(cloud.points), "seconds": seconds, **scored._asdict()})
+        print(_line(cloud.name, parts[-1]), flush=True)
+    keys = [key for key in parts[0] if key != "name"]
+    mean = {key: float(np.nanmean([part[key] for part in parts])) for key in keys}
+    print(_line(f"mean {len(parts)}", mean))
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"mean": mean, "parts": parts}, indent=1))
+    return 0
+
+
+def _range(text: str) -> tuple[int, int]:
+    try:
+        first, last = text.split("-")
+        return int(first), int(last)
+    except ValueError:
+        raise ValueError(f"--clouds {text!r} is no range; expected two numbers such as 1-151.") from None
+
+
+def _disturbed(cloud, *, noise: float, rotate: bool):
+    """The cloud under a random rotation and noise in per cent of its diagonal, seeded by its name."""
+    generator = np.random.default_rng(list(cloud.name.encode()))
+    points = cloud.points
+    diagonal = np.linalg.norm(np.ptp(points, axis=0))
+    if rotate:
+        turn, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+        points = points @ (turn * np.sign(np.linalg.det(turn)))
+    if noise > 0:
+        points = points + generator.normal(size=points.shape) * diagonal * noise / 100
+    return cloud._replace(points=points)
+
+
+def _line(name: str, values: dict) -> str:
+    return (
+        f"{name:10s} {values['points']:8.0f} points {values['seconds']:6.1f} s   "
+        f"DSC surfaces {values['dsc_surfaces']:.3f} all {values['dsc_surfaces_all']:.3f} "
+        f"instances {values['dsc_instances']:.3f} single {values['dsc_single']:.3f}   "
+        f"mIoU {values['miou_surfaces']:.3f} kind {values['kind_accuracy']:.3f}   "
+        f"surfaces {values['num_predicted']:.0f}/{values['num_surfaces']:.0f} none {100 * values['unassigned']:.1f} %"
+    )

@@ -1,0 +1,57 @@
+"""Reader of the Fit4CAD benchmark as one HDF5 file: CAD clouds whose points are listed by the primitives they lie on.
+
+The source (Romanengo, Raffo, Qie, Anwer, Falcidieno: Fit4CAD, Computers & Graphics 2021) lists per cloud the points of
+every primitive. Points on a shared edge are listed by several primitives, so a primitive is a set of point rows here,
+never a label. Faces of one geometric surface share a number: a CAD cylinder is commonly two half cylinders.
+Layout of the file: a group PCnnn per cloud with points, member_ptr, member_index, inst_type, inst_surface.
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jprimfit.data import hdf5
+
+# Kinds of the source by their number; only the first four of KINDS below are primitives of ours.
+SOURCE_KINDS = ("other", "plane", "cylinder", "sphere", "cone", "torus")
+
+
+class BenchmarkCloud(NamedTuple):
+    """One cloud of the benchmark; instances are sets of rows that may share points."""
+
+    name: str  # as in the source, "PC007"
+    points: np.ndarray  # (n, 3) float64, the source's unit
+    members: tuple[np.ndarray, ...]  # per instance the rows of its points
+    kinds: tuple[str, ...]  # per instance, of SOURCE_KINDS
+    surfaces: np.ndarray  # int (instances,): instances on one geometric surface share a number
+
+
+def read_clouds(path: str | Path, *, first: int = 1, last: int = 10**6) -> Iterator[BenchmarkCloud]:
+    """The clouds PC<first> to PC<last> of a file in ascending order, one at a time.
+
+    Raises ValueError where the file is missing, no HDF5, or holds no group named PC<number>.
+    """
+    with hdf5.Source(path) as source:
+        numbers = sorted(int(name[2:]) for name in source.children() if re.fullmatch(r"PC\d{3,9}", name))
+        if not numbers:
+            raise ValueError(f"{path} holds no group PC<number>; expected the Fit4CAD clouds in one HDF5 file.")
+        for number in numbers:
+            if first <= number <= last:
+                yield _read_cloud(source, f"PC{number:03d}")
+
+
+def _read_cloud(source: hdf5.Source, name: str) -> BenchmarkCloud:
+    def read(array: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        return source.array(f"{name}/{array}", kind=kind, shape=shape).read()
+
+    bounds, rows = read("member_ptr", "i", (None,)), read("member_index", "i", (None,))
+    return BenchmarkCloud(
+        name=name,
+        points=read("points", "f", (None, 3)).astype(np.float64),
+        members=tuple(rows[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)),
+        kinds=tuple(SOURCE_KINDS[kind] for kind in read("inst_type", "i", (None,))),
+        surfaces=read("inst_surface", "i", (None,)).astype(np.int64),
+    )

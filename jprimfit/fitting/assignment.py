@@ -1,0 +1,87 @@
+"""Every point to the surface it lies on, and the faces: connected parts of one surface.
+
+A point may belong to the surfaces that its neighbours belong to. It takes the one of least cost: distance in units of
+the noise, disagreement of normals where the neighbourhood is smooth, less a bonus for each neighbour that says the
+same (iterated conditional modes, Besag 1986). A point on a sharp edge lies on both surfaces; there the surface with
+fewer points wins, which loses more by a missing row than a large one. What no surface explains stays -1.
+Lengths in the normalised frame. n points, s surfaces, k neighbours.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from jprimfit.fitting import kinds
+from jprimfit.fitting.local import LocalSurface
+from jprimfit.fitting.merging import Surface
+
+NUM_VOTERS = 9  # neighbours, the point included, whose surfaces are candidates
+SWEEPS = 6
+NORMAL_SCALE = np.radians(15.0)  # a disagreement that costs as much as one standard deviation of distance
+SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
+SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
+MIN_FACE = 6  # points; a smaller part cut off from its surface is no face
+
+
+def assign(
+    points: Float[np.ndarray, "n 3"],
+    surface: LocalSurface,
+    surfaces: list[Surface],
+    labels: Int[np.ndarray, " n"],
+    *,
+    tolerance: float,
+) -> Int[np.ndarray, " n"]:
+    """Surface of every point, -1 = none, starting from labels (n,) of the points that are known already."""
+    if not surfaces:
+        return np.full(len(points), -1, dtype=np.int32)
+    cost = _costs(points, surface, surfaces, tolerance)
+    size = np.maximum(np.bincount(labels[labels >= 0], minlength=len(surfaces)), 1)
+    cost += SMALL_SURFACE * np.log(size)[:, None]
+    voters = surface.index[:, :NUM_VOTERS]
+    every = np.arange(len(points))
+    for _ in range(SWEEPS):
+        votes = labels[voters]
+        share = (votes[:, :, None] == votes[:, None, :]).mean(axis=2)
+        total = np.where(votes >= 0, cost[votes, every[:, None]] - SAME_NEIGHBORS * share, np.inf)
+        best = total.argmin(axis=1)
+        updated = np.where(np.isfinite(total[every, best]), votes[every, best], -1)
+        if np.array_equal(updated, labels):
+            break
+        labels = updated
+    return labels.astype(np.int32)
+
+
+def faces(
+    surface: LocalSurface, labels: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " faces"]]:
+    """Splits every surface into its connected faces: face of every point (-1 = none), and the surface of every face.
+
+    Faces are numbered by falling number of points. Parts of fewer than MIN_FACE points become -1.
+    """
+    index = surface.index[:, 1:NUM_VOTERS]
+    start, end = np.repeat(np.arange(len(index)), index.shape[1]), index.ravel()
+    same = (labels[start] == labels[end]) & (labels[start] >= 0)
+    matrix = coo_matrix((np.ones(int(same.sum()), np.int8), (start[same], end[same])), shape=(len(labels),) * 2)
+    _, component = connected_components(matrix, directed=False)
+    component[labels < 0] = -1
+    numbers, sizes = np.unique(component[component >= 0], return_counts=True)
+    order = np.argsort(-sizes, kind="stable")
+    order = order[sizes[order] >= MIN_FACE]
+    rank = np.full(component.max(initial=-1) + 2, -1)
+    rank[numbers[order]] = np.arange(len(order))
+    face = rank[component]
+    surface_of = np.zeros(len(order), dtype=np.int32)
+    surface_of[face[face >= 0]] = labels[face >= 0]
+    return face.astype(np.int32), surface_of
+
+
+def _costs(points, surface, surfaces, tolerance) -> Float[np.ndarray, "s n"]:
+    cloud = kinds.Cloud(points, surface.normal)
+    cost = np.empty((len(surfaces), len(points)), np.float32)
+    for number, candidate in enumerate(surfaces):
+        distance, cosine = cloud.agreement(candidate.primitive)
+        turn = np.arccos(np.minimum(cosine, 1.0)) / NORMAL_SCALE
+        cost[number] = 0.5 * np.square(3.0 * distance / tolerance) + 0.5 * np.square(turn) * surface.core
+        cost[number][distance > 1.5 * tolerance] = np.inf
+    return cost

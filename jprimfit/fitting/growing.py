@@ -1,0 +1,208 @@
+"""Segmentation without a network: surfaces grown from seeds, all four kinds in competition.
+
+From a seed patch deep inside a smooth area each kind of primitive is fitted and grown: refit, take every point that
+lies within the tolerance of the surface, agrees with its normal and is connected to the patch through smooth ("core")
+points, until the region no longer changes. The kind that explains most points wins, with a handicap for its degrees
+of freedom, since a cone can always pose as a cylinder and a cylinder as a plane. The next seed is the deepest point
+left (region growing: Besl and Jain 1988; core and border points: Ester et al. 1996). Points beside an edge are not
+core; a region only claims those it explains, and another region may claim them too. Host code around the jitted fits
+of fitting/kinds. Lengths in the normalised frame. n points, k neighbours, e links.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from jprimfit.fitting import kinds
+from jprimfit.fitting.local import LocalSurface, describe
+from jprimfit.primitives.table import KINDS, MODULES
+from jprimfit.types import Primitive
+
+NUM_LINKS = 8  # nearest neighbours that connect a point
+MAX_NORMAL_ANGLE = np.radians(25.0)  # between a core point's normal and the primitive's
+SEED_POINTS = (8, 64)  # least and most points of a seed patch on a clean cloud
+MIN_EXCESS = 5  # points beyond the degrees of freedom that a region must have
+GROWTH_ROUNDS = 16
+CLAIM_RINGS = 3  # links that a claim reaches beyond the core of a region
+HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.92}  # factor on the points explained
+MAX_PASSES = 4
+
+
+class Region(NamedTuple):
+    """Connected points of one primitive."""
+
+    rows: Int[np.ndarray, " r"]  # rows of the cloud, ascending; rows beside an edge may be in several regions
+    primitive: Primitive  # float64, frame of the cloud
+
+
+class _Pass(NamedTuple):
+    """A cloud while regions are grown on it; the last three change as regions are found."""
+
+    points: Float[np.ndarray, "n 3"]
+    surface: LocalSurface
+    cloud: kinds.Cloud
+    start: Int[np.ndarray, " e"]  # links between neighbours
+    end: Int[np.ndarray, " e"]
+    tolerance: float
+    taken: Bool[np.ndarray, " n"]  # core of a region: for no other
+    claimed: Bool[np.ndarray, " n"]  # explained by a region, yet open to others
+
+
+def tolerance(surface: LocalSurface) -> float:
+    """Largest distance of a point to its primitive: three times the noise, on a clean cloud a part of the spacing."""
+    return max(3.0 * surface.noise, 0.005 * surface.spacing)
+
+
+def grow_regions(
+    points: Float[np.ndarray, "n 3"], surface: LocalSurface, *, progress: Callable[[int, int], None] | None = None
+) -> list[Region]:
+    """All regions of a cloud, in the order they were found.
+
+    What a pass leaves is looked at anew without the points that are explained: a wall three points high has no smooth
+    neighbourhood as long as the faces above and below are seen too. Its edges, which those faces claim, stay in view.
+    progress is called with (points explained or given up, points in all).
+    """
+    regions: list[Region] = []
+    rows = np.arange(len(points))
+    claimed = np.zeros(len(points), dtype=bool)
+    for _ in range(MAX_PASSES):
+        state = _start(points[rows], surface, claimed)
+        found = _grow_pass(state)
+        regions += [Region(rows[region.rows], region.primitive) for region in found]
+        left = ~state.taken & ~state.claimed
+        if progress is not None:
+            progress(len(points) - int(left.sum()), len(points))
+        if not found or left.sum() < 3:
+            break
+        beside = state.claimed & (cKDTree(state.points[left]).query(state.points)[0] <= 1.25 * surface.spacing)
+        keep = left | beside
+        rows, claimed = rows[keep], beside[keep]
+        if len(rows) < MIN_EXCESS + 3:
+            break
+        surface = describe(points[rows], noise=surface.noise, spacing=surface.spacing)
+    return regions
+
+
+def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"]) -> _Pass:
+    index = surface.index[:, 1 : NUM_LINKS + 1]
+    start, end = np.repeat(np.arange(len(index)), index.shape[1]), index.ravel()
+    cloud = kinds.Cloud(points, surface.normal)
+    taken = np.zeros(len(points), dtype=bool)
+    return _Pass(points, surface, cloud, start, end, tolerance(surface), taken, claimed.copy())
+
+
+def _grow_pass(state: _Pass) -> list[Region]:
+    """Regions from every seed, deepest first; marks what they take and claim in the state."""
+    points, core = state.points, state.surface.core
+    seeds = core & ~state.claimed
+    depth = np.full(len(points), np.inf)
+    if not seeds.all():
+        depth = cKDTree(points[~core]).query(points)[0] if not core.all() else depth
+    regions: list[Region] = []
+    while seeds.any():
+        seed = int(np.argmax(np.where(seeds, depth, -1.0)))
+        region = _grow_seed(state, seed, float(depth[seed]))
+        if region is None:
+            # The seed and its closest surroundings are given up, not only the seed: they would fail alike.
+            seeds[state.surface.index[seed, :NUM_LINKS]] = False
+            continue
+        inner = region.rows[core[region.rows]]
+        state.taken[inner] = True
+        claims = _claim(state, region)
+        state.claimed[claims] = True
+        rows = np.union1d(region.rows, claims)
+        regions.append(Region(rows, region.primitive))
+        seeds[rows] = False
+        if seeds.any():
+            depth[seeds] = np.minimum(depth[seeds], cKDTree(points[rows]).query(points[seeds])[0])
+    return regions
+
+
+def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
+    """The best of the four kinds grown from one seed, None where none explains enough."""
+    patch = _seed_patch(state, seed, depth)
+    if len(patch) < SEED_POINTS[0]:
+        return None
+    quiet = state.surface.noise < 0.05 * state.surface.spacing
+    best, best_support = None, 0.0
+    for kind in KINDS:
+        region = _grow_kind(state, patch, kind)
+        if region is None:
+            continue
+        support = HANDICAP[kind] * len(region.rows)
+        if support > best_support:
+            best, best_support = region, support
+        # Without noise a surface of too few degrees of freedom does not outgrow its seed.
+        if quiet and len(region.rows) > 2.5 * len(patch):
+            break
+    return best
+
+
+def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
+    """Points around the seed that lie no farther than the nearest edge, within the limits of SEED_POINTS."""
+    points, spacing = state.points, state.surface.spacing
+    widening = float(np.clip(2.0 * state.surface.noise / spacing, 1.0, 5.0)) ** 2
+    radius = np.clip(0.9 * depth, 2.0 * spacing, spacing * np.sqrt(SEED_POINTS[1] * widening / np.pi))
+    near = np.flatnonzero(~state.taken & (np.square(points - points[seed]).sum(axis=1) <= radius * radius))
+    if len(near) >= SEED_POINTS[0]:
+        return near
+    near = state.surface.index[seed]
+    return np.unique(near[~state.taken[near]])
+
+
+def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:
+    points, surface = state.points, state.surface
+    least = MIN_EXCESS + MODULES[kind].NUM_FREEDOM
+    rows, primitive = patch, None
+    for _ in range(GROWTH_ROUNDS):
+        fitted = kinds.fit(kind, points, surface.normal, rows, sample=kinds.SIZE_CLASSES[0])
+        if fitted is None or (primitive is None and fitted.rms > state.tolerance):
+            break
+        distance, cosine = state.cloud.agreement(fitted.primitive)
+        center = points[rows].mean(axis=0)
+        reach = 2.0 * np.sqrt(np.square(points[rows] - center).sum(axis=1).max()) + 2.0 * surface.spacing
+        agrees = ~state.taken & (distance <= state.tolerance)
+        agrees &= (cosine >= np.cos(MAX_NORMAL_ANGLE)) | ~surface.core
+        agrees &= np.square(points - center).sum(axis=1) <= reach * reach
+        grown = _connected(state, agrees, rows)
+        if len(grown) < max(least, 0.5 * len(patch)) or len(grown) < 0.9 * len(rows):
+            break
+        done = np.array_equal(grown, rows)
+        rows, primitive = grown, fitted.primitive
+        if done:
+            break
+    return None if primitive is None else Region(rows, primitive)
+
+
+def _connected(state: _Pass, agrees: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The component of agreeing points, linked through core points, that holds most of rows."""
+    members = np.flatnonzero(agrees)
+    number = np.full(len(agrees), -1)
+    number[members] = np.arange(len(members))
+    core = state.surface.core
+    inside = agrees[state.start] & agrees[state.end] & (core[state.start] | core[state.end])
+    start, end = number[state.start[inside]], number[state.end[inside]]
+    matrix = coo_matrix((np.ones(len(start), dtype=np.int8), (start, end)), shape=(len(members), len(members)))
+    _, component = connected_components(matrix, directed=False)
+    seeds = number[rows]
+    seeds = seeds[seeds >= 0]
+    if len(seeds) == 0:
+        return np.zeros(0, dtype=int)
+    return members[component == np.bincount(component[seeds]).argmax()]
+
+
+def _claim(state: _Pass, region: Region) -> np.ndarray:
+    """Points off the core that the region explains and reaches within CLAIM_RINGS links."""
+    distance, _ = state.cloud.agreement(region.primitive)
+    fits = (distance <= state.tolerance) & ~state.surface.core & ~state.taken
+    reached = np.zeros(len(fits), dtype=bool)
+    reached[region.rows] = True
+    for _ in range(CLAIM_RINGS):
+        linked = np.concatenate([state.end[reached[state.start]], state.start[reached[state.end]]])
+        reached[linked[fits[linked]]] = True
+    return np.flatnonzero(reached & fits)

@@ -1,0 +1,144 @@
+"""The four kinds fitted to rows of a cloud, called from the host: centred, scaled, padded, compiled once per size.
+
+A fit starts from the closed-form estimate of primitives/ and is polished by Levenberg-Marquardt on the distances
+themselves. It runs in float32 on points that were shifted to their mean and divided by their size in float64, so that
+no digit is lost far from the origin; the answer comes back as NumPy float64 in the frame of the cloud.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jprimfit.primitives.table import MODULES, of
+from jprimfit.solvers import least_squares
+from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
+
+SIZE_CLASSES = (256, 8_192)  # points of a fit, padded with weight 0 up to the next; more are thinned out
+NUM_STEPS = 10
+
+
+class Fitted(NamedTuple):
+    """A primitive in the frame of the cloud, float64, and the rms distance of the points it was fitted to."""
+
+    primitive: Primitive
+    rms: float
+
+
+class Cloud:
+    """Points and normals on the device, padded to a power of two, against which primitives are held."""
+
+    def __init__(self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]):
+        self.num_points = len(points)
+        padding = max(256, 1 << (self.num_points - 1).bit_length()) - self.num_points
+        self.points = jnp.asarray(np.pad(points, ((0, padding), (0, 0))), jnp.float32)
+        self.normals = jnp.asarray(np.pad(normals, ((0, padding), (0, 0))), jnp.float32)
+
+    def agreement(self, primitive: Primitive) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Distance of every point to the primitive, and |cosine| between the point's normal and the primitive's."""
+        distance, cosine = _agreement(as_float32(primitive), self.points, self.normals)
+        return np.asarray(distance)[: self.num_points], np.asarray(cosine)[: self.num_points]
+
+
+def fit(
+    kind: str,
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    rows: Int[np.ndarray, " r"],
+    *,
+    sample: int = SIZE_CLASSES[-1],
+    start: Primitive | None = None,
+) -> Fitted | None:
+    """The least-squares primitive of one kind through the rows of a cloud; None where they do not determine it.
+
+    sample: at most so many rows, taken at even steps, are looked at. start: polish this one (float64, of this kind)
+    instead of the closed-form estimate, which hangs on the normals for cylinders and cones.
+    """
+    if len(rows) > sample:
+        rows = rows[np.linspace(0, len(rows) - 1, sample).astype(int)]
+    chosen = points[rows]
+    center = chosen.mean(axis=0)
+    centred = chosen - center[None, :]
+    size = float(np.sqrt(np.square(centred).sum(axis=1).mean()))
+    if size == 0.0:
+        return None
+    padding = next(size for size in SIZE_CLASSES if len(rows) <= size) - len(rows)
+    pad = partial(np.pad, pad_width=((0, padding), (0, 0)))
+    weights = np.pad(np.ones(len(rows), np.float32), (0, padding))
+    arrays = pad((centred / size).astype(np.float32)), weights, pad(normals[rows].astype(np.float32))
+    if start is None:
+        fitted, rms, ok = _fit(*arrays, kind=kind)
+    else:
+        fitted, rms, ok = _polish(as_float32(move(start, -center / size, 1.0 / size)), *arrays)
+    return Fitted(move(fitted, center, size), float(rms) * size) if bool(ok) else None
+
+
+def normals(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit normals of the primitive at at most SIZE_CLASSES[0] points."""
+    padded = np.pad(points, ((0, SIZE_CLASSES[0] - len(points)), (0, 0))).astype(np.float32)
+    return np.asarray(_normal(as_float32(primitive), padded))[: len(points)].astype(np.float64)
+
+
+def move(primitive: Primitive, shift: Float[np.ndarray, "3"], scale: float) -> Primitive:
+    """The primitive under x -> scale·x + shift, in float64 on the host."""
+    fields = [np.asarray(field, np.float64) for field in primitive]
+    if isinstance(primitive, Plane):
+        normal = fields[0] / np.linalg.norm(fields[0])
+        return Plane(normal, scale * fields[1] + normal @ shift)
+    if isinstance(primitive, Sphere):
+        return Sphere(scale * fields[0] + shift, scale * fields[1])
+    axis = fields[0] / np.linalg.norm(fields[0])
+    if isinstance(primitive, Cylinder):
+        return Cylinder(axis, scale * fields[1] + shift, scale * fields[2])
+    return Cone(axis, scale * fields[1] + shift, fields[2])
+
+
+def as_float32(primitive: Primitive) -> Primitive:
+    """The same fields as float32 device arrays."""
+    return type(primitive)(*(jnp.asarray(field, jnp.float32) for field in primitive))
+
+
+@jax.jit
+def _normal(primitive: Any, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    return of(primitive).normal(primitive, points)
+
+
+@jax.jit
+def _agreement(primitive: Any, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]):
+    module = of(primitive)
+    cosine = jnp.abs(jnp.sum(module.normal(primitive, points) * normals, axis=1))
+    return module.distance(primitive, points), cosine
+
+
+@partial(jax.jit, static_argnames="kind")
+def _fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"], *, kind: str):
+    first = MODULES[kind].fit(points, weights, normals)
+    polished, rms, finite = _descend(first.primitive, points, weights)
+    return polished, rms, first.ok & finite
+
+
+@jax.jit
+def _polish(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]):
+    return _descend(start, points, weights)
+
+
+def _descend(
+    start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]
+) -> tuple[Any, Float[Array, ""], Bool[Array, ""]]:
+    """Levenberg-Marquardt on the signed distances, and the gauge of the kind (center nearest the mean, which is 0)."""
+    module = of(start)
+    solution = least_squares.minimise(
+        lambda primitive: module.signed_distance(primitive, points),
+        start,
+        weights,
+        retract_fn=module.retract,
+        num_freedom=module.NUM_FREEDOM,
+        num_steps=NUM_STEPS,
+    )
+    primitive = module.canonical(solution.state, jnp.zeros(3, points.dtype))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(field)) for field in primitive]))
+    rms = jnp.sqrt(2.0 * solution.cost / jnp.sum(weights))
+    return primitive, rms, finite & jnp.isfinite(rms)

@@ -1,0 +1,114 @@
+"""What the neighbourhood of each point says of the surface there: normal, noise, and whether it is one smooth surface.
+
+A quadric z = a + b x + c y + d x^2 + e xy + f y^2 over the tangent plane of k neighbours follows every one of our
+surfaces to third order, so what it leaves over is noise, or an edge. From the quiet share of these residuals comes the
+noise of the scan, from the noise the number of neighbours that a normal needs, and from both the "core": points whose
+neighbourhood is one smooth surface. Only core points may carry growth across the cloud; the others lie on edges.
+Host code in float64 (NumPy); lengths in the unit of the cloud. n points, k neighbours.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.stats import chi2
+
+from jprimfit.geometry import host
+
+QUADRIC_NEIGHBORS = 13  # 6 unknowns, 7 left over to tell noise from shape
+# Quantiles of the residuals that the noise is read from: the points of smooth surface, and the quietest of them.
+QUIET, QUIETEST = 0.3, 0.1
+NOISE_SAMPLE = 2_048  # points at which the noise is measured again over wider neighbourhoods
+CHUNK = 16_384
+
+
+class LocalSurface(NamedTuple):
+    """The cloud seen point by point."""
+
+    index: Int[np.ndarray, "n k"]  # neighbours by distance, the point itself first
+    normal: Float[np.ndarray, "n 3"]  # unit, of either sign
+    residual: Float[np.ndarray, " n"]  # rms distance of the neighbours to the local quadric, length
+    core: Bool[np.ndarray, " n"]  # True = the neighbourhood is one smooth surface
+    spacing: float  # median distance to the nearest other point, length
+    noise: float  # standard deviation along the normal, length
+
+
+def describe(
+    points: Float[np.ndarray, "n 3"], *, noise: float | None = None, spacing: float | None = None
+) -> LocalSurface:
+    """Local quadrics, noise and normals of a cloud of n >= 4 points.
+
+    noise, spacing: those of the cloud that the points are the rest of, where they are known better.
+    """
+    neighbors = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points)))
+    distance = np.sqrt(neighbors.sq_distance)
+    apart = np.where(distance > 0, distance, np.inf).min(axis=1)
+    spacing = float(np.median(apart[np.isfinite(apart)])) if spacing is None else spacing
+    index = np.asarray(neighbors.index)
+    normal, residual = _quadrics(points, index)
+    noise = _noise(points, residual, spacing) if noise is None else noise
+    ratio = noise / spacing
+    if ratio > 0.05:
+        # The angle error of a plane's normal is about 2 noise / (spacing k): keep it near 5 degrees.
+        k = int(np.clip(12 + 40 * ratio, 16, 80))
+        wide = host.knn(points, points, k=min(k, len(points)))
+        normal = host.pca_normals(points, k=k, neighbors=wide).normal
+        index = np.asarray(wide.index)
+    core = residual <= max(2.0 * noise, 0.03 * spacing)
+    return LocalSurface(index, normal, residual, core, spacing, noise)
+
+
+def _noise(points: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, " n"], spacing: float) -> float:
+    """Standard deviation of the scan from the residuals of the quadrics.
+
+    Where it is large beside the spacing, a small neighbourhood is as thick as it is wide and its quadric bends into
+    the noise: the neighbourhood is widened until its radius is three times the noise.
+    """
+    noise, k = _quiet(residual, QUADRIC_NEIGHBORS), QUADRIC_NEIGHBORS
+    rows = np.linspace(0, len(points) - 1, min(NOISE_SAMPLE, len(points))).astype(int)
+    while spacing * np.sqrt(k / np.pi) < 3.0 * noise and 2 * k <= min(len(points), 500):
+        k = 2 * k
+        index = np.asarray(host.knn(points[rows], points, k=k).index)
+        noise = max(noise, _quiet(_quadric_chunk(points, index)[1], k))
+    return noise
+
+
+def _quiet(residual: Float[np.ndarray, " n"], k: int) -> float:
+    """The noise that explains the quiet quantile of the residuals of quadrics over k neighbours.
+
+    A clean cloud of thin walls has few smooth neighbourhoods: where the quietest tenth is ten times quieter than the
+    noise read from the quiet third, that third mixes two walls and the tenth is believed.
+    """
+    freedom = max(k - 6, 1)
+    third, tenth = (
+        float(np.quantile(residual, share)) / float(np.sqrt(chi2.ppf(share, freedom) / freedom))
+        for share in (QUIET, QUIETEST)
+    )
+    return tenth if tenth < 0.1 * third else third
+
+
+def _quadrics(points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normal of the least-squares quadric at each point, and the rms of what it leaves over."""
+    normal, residual = np.empty((len(points), 3)), np.empty(len(points))
+    for start in range(0, len(points), CHUNK):
+        rows = slice(start, start + CHUNK)
+        normal[rows], residual[rows] = _quadric_chunk(points, index[rows])
+    return normal, residual
+
+
+def _quadric_chunk(points: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    offset = points[index] - points[index[:, :1]]
+    size = np.sqrt(np.maximum(np.square(offset).sum(axis=2).max(axis=1), 1e-300))
+    offset = offset / size[:, None, None]
+    centred = offset - offset.mean(axis=1, keepdims=True)
+    _, frame = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
+    z, x, y = np.moveaxis(offset @ frame, 2, 0)
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)
+    gram = np.swapaxes(design, 1, 2) @ design + 1e-9 * np.eye(6)[None]
+    coefficients = np.linalg.solve(gram, np.swapaxes(design, 1, 2) @ z[:, :, None])
+    left = z - (design @ coefficients)[:, :, 0]
+    freedom = max(index.shape[1] - 6, 1)
+    residual = np.sqrt(np.square(left).sum(axis=1) / freedom) * size
+    slope = np.concatenate([np.ones_like(size)[:, None], -coefficients[:, 1:3, 0]], axis=1)
+    normal = (frame @ slope[:, :, None])[:, :, 0]
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True), residual

@@ -1,0 +1,94 @@
+"""Which regions lie on one geometric surface, and the surface fitted to all of them together.
+
+A large region knows its surface better than a small one, so the larger one's primitive is held against the smaller
+one's points: if it explains them, normals included, they are one surface whatever kind the small region was taken
+for. Regions of one kind that are alike but too noisy for that test are fitted jointly: one surface if the joint fit
+is no worse than the separate ones. Lengths in the normalised frame. r regions.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jprimfit.fitting import kinds
+from jprimfit.fitting.growing import Region
+from jprimfit.primitives import table
+from jprimfit.types import Primitive
+
+SAMPLE = 256  # points of a region that another region's primitive is held against
+EXPLAINED = 0.85  # share of them that it must explain
+MIN_COSINE = np.cos(np.radians(20.0))
+JOINT_GROWTH = 1.15  # how much worse a joint fit may be than the separate ones
+
+
+class Surface(NamedTuple):
+    """One geometric surface: the united points of its regions and the primitive through all of them."""
+
+    rows: Int[np.ndarray, " r"]
+    primitive: Primitive
+
+
+def merge_regions(
+    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], regions: list[Region], *, tolerance: float
+) -> list[Surface]:
+    """Unites the regions that lie on one surface; surfaces by falling number of points."""
+    surfaces: list[Surface] = []
+    for region in sorted(regions, key=lambda region: -len(region.rows)):
+        home = _home(points, normals, surfaces, region, tolerance)
+        if home is None:
+            surfaces.append(Surface(region.rows, region.primitive))
+            continue
+        index, primitive = home
+        surfaces[index] = Surface(np.union1d(surfaces[index].rows, region.rows), primitive)
+    return sorted(surfaces, key=lambda surface: -len(surface.rows))
+
+
+def _home(points, normals, surfaces, region, tolerance) -> tuple[int, Primitive] | None:
+    """The surface that the region lies on and its primitive with the region added; None where there is none."""
+    sample = _sample(points, normals, region.primitive, region.rows)
+    errors = [_misfit(sample, surface.primitive, tolerance) for surface in surfaces]
+    for index in np.argsort(errors, kind="stable"):
+        surface = surfaces[index]
+        if errors[index] <= 1.0:
+            joint = _joint(points, normals, surface, region)
+            return int(index), joint if joint is not None else surface.primitive
+        if surface.primitive.kind != region.primitive.kind or errors[index] > 4.0:
+            continue
+        joint = _joint(points, normals, surface, region)
+        if joint is None:
+            continue
+        other = _sample(points, normals, surface.primitive, surface.rows)
+        if all(_is_as_good(*pair, joint, tolerance) for pair in ((sample, region), (other, surface))):
+            return int(index), joint
+    return None
+
+
+def _joint(points, normals, surface, region) -> Primitive | None:
+    rows = np.union1d(surface.rows, region.rows)
+    fitted = kinds.fit(surface.primitive.kind, points, normals, rows, start=surface.primitive)
+    return None if fitted is None else fitted.primitive
+
+
+def _sample(points, normals, primitive, rows) -> kinds.Cloud:
+    """Some of the rows with the normals of the primitive itself: those of the cloud mean little beside an edge."""
+    if len(rows) > SAMPLE:
+        rows = rows[np.linspace(0, len(rows) - 1, SAMPLE).astype(int)]
+    return kinds.Cloud(points[rows], kinds.normals(primitive, points[rows]))
+
+
+def _misfit(sample: kinds.Cloud, primitive: Primitive, tolerance: float) -> float:
+    """At most 1 if the primitive explains the sample: the EXPLAINED quantile of distance / tolerance.
+
+    Infinite where the normals differ.
+    """
+    distance, cosine = sample.agreement(primitive)
+    if np.median(cosine) < MIN_COSINE:
+        return np.inf
+    return float(np.quantile(distance, EXPLAINED)) / tolerance
+
+
+def _is_as_good(sample: kinds.Cloud, own: Region | Surface, joint: Primitive, tolerance: float) -> bool:
+    before = np.sqrt(np.square(sample.agreement(own.primitive)[0]).mean())
+    after = np.sqrt(np.square(sample.agreement(joint)[0]).mean())
+    return bool(after <= max(JOINT_GROWTH * before, 0.3 * tolerance))
