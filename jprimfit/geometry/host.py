@@ -8,7 +8,7 @@ jprimfit.types.Neighbors says. Letters: n points, m queries, k neighbours.
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Num
+from jaxtyping import Bool, Float32, Float64, Num
 from scipy.spatial import KDTree
 
 from jprimfit.types import Neighbors
@@ -49,29 +49,37 @@ def normalize(points: Num[np.ndarray, "n 3"]) -> tuple[Float32[np.ndarray, "n 3"
     return frame.from_input(points).astype(np.float32), frame
 
 
-def knn(queries: Num[np.ndarray, "m 3"], points: Num[np.ndarray, "n 3"], *, k: int, workers: int = -1) -> Neighbors:
-    """The k nearest points to each query by a kd-tree, ordered by (distance, index).
+def knn(
+    queries: Num[np.ndarray, "m 3"],
+    points: Num[np.ndarray, "n 3"],
+    point_mask: Bool[np.ndarray, "n"] | None = None,
+    *,
+    k: int,
+    workers: int = -1,
+) -> Neighbors:
+    """The k nearest valid points to each query by a kd-tree, ordered by (distance, index).
 
     points[index[i, j]] is the j-th nearest to queries[i]; a query that is itself a point comes first, at distance 0.
-    Where n < k, the remaining slots are padding as in Neighbors; count is n. Distances are those of float64, so the
-    order agrees with the float32 twin (geometry/neighbors.py) except where squared distances tie within 1e-6
-    relative. Points that tie exactly at the k-th place are chosen by lowest index as long as at most 64 points
-    beyond it tie; beyond that (more than 64 copies of one point) any of them may stand there.
+    Where fewer than k points are valid, the remaining slots are padding as in Neighbors; count is the number of valid
+    points. Distances are those of float64, so the order agrees with the float32 twin (geometry/neighbors.py) except
+    where squared distances tie within 1e-6 relative. Points that tie exactly at the k-th place are chosen by lowest
+    index as long as at most 64 points beyond it tie; beyond that (more than 64 copies of one point) any of them may
+    stand there.
 
     Returns:
         Neighbors of NumPy arrays: index int32, sq_distance float64 in squared units of the cloud.
     """
     queries, points = np.asarray(queries, np.float64), np.asarray(points, np.float64)
-    num_points = len(points)
+    if point_mask is not None and not point_mask.all():
+        rows = np.flatnonzero(point_mask)
+        found = knn(queries, points[rows], k=k, workers=workers)
+        return found if rows.size == 0 else found._replace(index=rows.astype(np.int32)[found.index])
     tree = KDTree(points, leafsize=16)
     # Queries in the order of the tree's leaves reuse what the cache holds: a third less time at 131,072 points.
-    order = tree.indices if queries.shape == points.shape and np.array_equal(queries, points) else None
-    index, distance = _query(tree, queries if order is None else queries[order], k=k, workers=workers)
-    if order is not None:
-        inverse = np.empty_like(order)
-        inverse[order] = np.arange(num_points, dtype=order.dtype)
-        index, distance = index[inverse], distance[inverse]
-    return _padded(index, np.square(distance), num_points=num_points)
+    order = tree.indices if np.array_equal(queries, points) else np.arange(len(queries))
+    index, distance = np.empty((len(queries), k), np.int64), np.empty((len(queries), k))
+    index[order], distance[order] = _query(tree, queries[order], k=k, workers=workers)
+    return _padded(index, np.square(distance), num_points=len(points))
 
 
 def pca_normals(
@@ -153,7 +161,7 @@ def _least_spread(covariance: Float64[np.ndarray, "m 3 3"]) -> tuple[np.ndarray,
     """Unit eigenvector of the smallest eigenvalue, and that eigenvalue over the trace.
 
     In closed form: the eigenvalue by the trigonometric solution of the cubic (O. Smith, 1961), the vector as the
-    longest cross product of two rows of covariance - eigenvalue; six times faster than LAPACK on tiny matrices. Rows
+    longest cross product of two rows of covariance - eigenvalue; three times faster than LAPACK on tiny matrices. Rows
     where the smallest eigenvalue is not simple, so that the cross products vanish, go to LAPACK.
     """
     trace = np.einsum("mcc->m", covariance)
