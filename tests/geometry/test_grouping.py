@@ -9,11 +9,12 @@ from jprimfit.geometry import grouping
 
 POINTS = np.random.default_rng(0).normal(size=(20, 3)).astype(np.float32)
 CENTROIDS = POINTS[:5] + np.float32(0.01)
+adaptive_groups = jax.jit(grouping.adaptive_groups, static_argnames=("k", "max_radius"))
 
 
 @pytest.mark.parametrize("max_radius", [np.inf, 1.0, 0.012])
 def test_groups_equal_a_loop(max_radius):
-    groups = grouping.adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), k=6, max_radius=max_radius)
+    groups = adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), k=6, max_radius=max_radius)
     index, sq_distance, mask, count = groups.neighbors
     for i, centroid in enumerate(CENTROIDS):
         distance = np.sqrt(((POINTS - centroid) ** 2).sum(axis=1))
@@ -31,21 +32,21 @@ def test_groups_equal_a_loop(max_radius):
 def test_radius_follows_the_density():
     spacing = np.concatenate([np.full(20, 0.01), np.full(20, 0.1)]).cumsum()
     points = jnp.array(np.column_stack([spacing, np.zeros((40, 2))]), jnp.float32)
-    radius = grouping.adaptive_groups(points, points, k=5).radius
+    radius = adaptive_groups(points, points, k=5).radius
     np.testing.assert_allclose(radius[10] * 10, radius[30], rtol=1e-4)
 
 
 def test_fewer_valid_points_than_k():
     mask = jnp.arange(20) < 3
-    groups = grouping.adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), mask, k=6)
+    groups = adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), mask, k=6)
     assert (groups.neighbors.mask.sum(axis=1) == 3).all() and (groups.neighbors.index < 3).all()
     assert np.isfinite(groups.radius).all()
-    none = grouping.adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), jnp.zeros(20, bool), k=6)
+    none = adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), jnp.zeros(20, bool), k=6)
     assert not none.neighbors.mask.any() and (none.neighbors.index == 0).all() and (none.radius == 0).all()
 
 
 def test_gather_and_relative_positions():
-    groups = grouping.adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), k=4)
+    groups = adaptive_groups(jnp.array(CENTROIDS), jnp.array(POINTS), k=6)
     index = groups.neighbors.index
     relative = grouping.relative_positions(jnp.array(CENTROIDS), jnp.array(POINTS), index)
     np.testing.assert_allclose((relative**2).sum(axis=-1), groups.neighbors.sq_distance, rtol=1e-5)

@@ -11,10 +11,13 @@ POINTS = RNG.normal(size=(15, 3)).astype(np.float32)
 QUERIES = RNG.normal(size=(6, 3)).astype(np.float32)
 FEATURES = RNG.normal(size=(15, 4)).astype(np.float32)
 
+weights_of = jax.jit(interpolation.inverse_distance, static_argnames="k")
+interpolate = jax.jit(interpolation.interpolate)
+
 
 def test_equals_a_loop():
-    weights = interpolation.inverse_distance(jnp.array(QUERIES), jnp.array(POINTS))
-    result = interpolation.interpolate(jnp.array(FEATURES), weights)
+    weights = weights_of(jnp.array(QUERIES), jnp.array(POINTS))
+    result = interpolate(jnp.array(FEATURES), weights)
     for i, query in enumerate(QUERIES):
         sq = ((POINTS - query).astype(np.float64) ** 2).sum(axis=1)
         nearest = np.argsort(sq)[:3]
@@ -24,26 +27,26 @@ def test_equals_a_loop():
 
 
 def test_constants_are_kept_and_points_give_their_own_feature():
-    weights = interpolation.inverse_distance(jnp.array(QUERIES), jnp.array(POINTS), k=5)
+    weights = weights_of(jnp.array(QUERIES), jnp.array(POINTS), k=5)
     np.testing.assert_allclose(weights.weight.sum(axis=1), 1.0, rtol=1e-6)
-    constant = interpolation.interpolate(jnp.full((15, 2), 3.0), weights)
+    constant = interpolate(jnp.full((15, 2), 3.0), weights)
     np.testing.assert_allclose(constant, 3.0, rtol=1e-6)
-    at_points = interpolation.inverse_distance(jnp.array(POINTS), jnp.array(POINTS))
-    result = interpolation.interpolate(jnp.array(FEATURES), at_points)
+    at_points = weights_of(jnp.array(POINTS), jnp.array(POINTS))
+    result = interpolate(jnp.array(FEATURES), at_points)
     np.testing.assert_allclose(result, FEATURES, atol=1e-6)
 
 
 def test_padding_has_no_weight():
-    weights = interpolation.inverse_distance(jnp.array(QUERIES), jnp.array(POINTS), jnp.arange(15) == 7)
-    result = interpolation.interpolate(jnp.array(FEATURES), weights)
+    weights = weights_of(jnp.array(QUERIES), jnp.array(POINTS), jnp.arange(15) == 7)
+    result = interpolate(jnp.array(FEATURES), weights)
     np.testing.assert_allclose(result, np.broadcast_to(FEATURES[7], (6, 4)), rtol=1e-6)
-    empty = interpolation.inverse_distance(jnp.array(QUERIES), jnp.array(POINTS), jnp.zeros(15, bool))
-    assert (empty.weight == 0).all() and (interpolation.interpolate(jnp.array(FEATURES), empty) == 0).all()
+    empty = weights_of(jnp.array(QUERIES), jnp.array(POINTS), jnp.zeros(15, bool))
+    assert (empty.weight == 0).all() and (interpolate(jnp.array(FEATURES), empty) == 0).all()
 
 
 def test_linear_in_the_features():
-    weights = interpolation.inverse_distance(jnp.array(QUERIES), jnp.array(POINTS))
-    gradient = jax.grad(lambda x: interpolation.interpolate(x, weights).sum())(jnp.array(FEATURES))
+    weights = weights_of(jnp.array(QUERIES), jnp.array(POINTS))
+    gradient = jax.grad(lambda x: interpolate(x, weights).sum())(jnp.array(FEATURES))
     expected = np.zeros(15)
     np.add.at(expected, np.asarray(weights.index).ravel(), np.asarray(weights.weight).ravel())
     np.testing.assert_allclose(gradient[:, 0], expected, atol=1e-6)
