@@ -1,8 +1,8 @@
 """Scene: the answer of `fit`, everything in the unit and frame of the input, and its files.
 
 labels[i] is the primitive that explains point i, -1 for none; primitives that lie on one geometric surface share a
-number in surface_of. On disk a scene is `scene.json` (versioned, docs/scene.md, assets/scene.schema.json) and an .npz of
-its arrays beside it, tied together by a checksum. The float64 parameters of the primitives survive save and load exactly.
+number in surface_of. On disk a scene is `scene.json` (versioned; docs/scene.md, assets/scene.schema.json) and an .npz
+of its arrays beside it, tied together by a checksum. Float64 parameters survive save and load exactly.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from jaxtyping import Float, Int32
 from jprimfit import __version__
 from jprimfit.io.files import replacing
 from jprimfit.io.numpy_files import npz_bytes
-from jprimfit.io.table import primitives_table
+from jprimfit.io.text_table import primitives_table
 from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
 FORMAT = "jprimfit scene"

@@ -34,10 +34,10 @@ def sample(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], *, num_samples: int, seed: int
 ) -> Float[np.ndarray, "n 3"]:
     """Points distributed uniformly over the triangles; none if no triangle has a finite area greater than 0."""
-    origin = np.nan_to_num(vertices[faces[:, 0]].mean(axis=0), posinf=0, neginf=0)
-    first, second, third = (vertices[faces[:, i]] - origin[None, :] for i in range(3))
+    corner = vertices[faces[:, 0]]
+    first, second = vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner
     with np.errstate(over="ignore", invalid="ignore"):
-        area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
+        area = np.linalg.norm(np.cross(first, second), axis=1) / 2
         area = np.where(np.isfinite(area), area, 0.0)
         total = area.sum()
     if not 0 < total < np.inf:
@@ -45,5 +45,5 @@ def sample(
     generator = np.random.default_rng(seed)
     face = generator.choice(len(faces), size=num_samples, p=area / total)
     u, v = np.sqrt(generator.random(num_samples)), generator.random(num_samples)
-    a, b, c = (1 - u)[:, None], (u * (1 - v))[:, None], (u * v)[:, None]
-    return a * first[face] + b * second[face] + c * third[face] + origin[None, :]
+    # Two edges from a corner rather than three weighted corners: a flat face stays flat to the last bit.
+    return corner[face] + (u * (1 - v))[:, None] * first[face] + (u * v)[:, None] * second[face]

@@ -2,36 +2,17 @@
 
 Read: v (further values of a line are colours, ignored), vn where there is one per v, f with any of the forms a, a/b,
 a//c, a/b/c and negative numbers, polygons cut into fans; everything else is skipped. Written: one object and one
-material per primitive, both named like `cylinder_3`, 3 being the label in the scene. Source: Wavefront, Object Files (.obj).
+material per primitive, both named like `cylinder_3`, 3 being the label in the scene. Source: Wavefront, Object Files.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import UInt8
 
 from jprimfit.io.files import BadFile, Mesh, fans, replacing
-
-
-class Patch(Protocol):
-    """What a surface must have to be written: a triangle mesh with one normal per vertex."""
-
-    @property
-    def vertices(self) -> Float[np.ndarray, "v 3"]:
-        """Corners, in the unit and frame of the scan."""
-        ...
-
-    @property
-    def faces(self) -> Int[np.ndarray, "f 3"]:
-        """Rows of vertices."""
-        ...
-
-    @property
-    def normals(self) -> Float[np.ndarray, "v 3"]:
-        """Unit normals of the vertices."""
-        ...
 
 
 def read(path: Path) -> Mesh:
@@ -61,9 +42,12 @@ def read(path: Path) -> Mesh:
 
 
 def write_surfaces(
-    path: str | Path, names: Sequence[str], patches: Sequence[Patch], colors: UInt8[np.ndarray, "p 3"]
+    path: str | Path, names: Sequence[str], patches: Sequence[Any], colors: UInt8[np.ndarray, "p 3"]
 ) -> None:
-    """Writes the patches, one object each, and beside `path` the .mtl file of their colours (0-255)."""
+    """Writes the patches, one object each, and beside `path` the .mtl file of their colours (0-255).
+
+    A patch has vertices (v, 3), faces (f, 3), rows of vertices, and normals (v, 3), as those of cad/patches.
+    """
     path = Path(path)
     materials = ["# colours of segments.ply\n"]
     for name, color in zip(names, colors, strict=True):
@@ -77,7 +61,12 @@ def write_surfaces(
         for name, patch in zip(names, patches, strict=True):
             file.write(f"o {name}\ng {name}\nusemtl {name}\n".encode())
             # 17 digits would double the file; 12 are 1 µm where the scan lies 1000 km from its origin.
-            np.savetxt(file, patch.vertices, fmt="v %.12g %.12g %.12g")
-            np.savetxt(file, patch.normals, fmt="vn %.6f %.6f %.6f")
-            np.savetxt(file, np.repeat(patch.faces + offset, 2, axis=1), fmt="f %d//%d %d//%d %d//%d")
+            file.write(_lines("v %.12g %.12g %.12g\n", patch.vertices))
+            file.write(_lines("vn %.6f %.6f %.6f\n", patch.normals))
+            file.write(_lines("f %d//%d %d//%d %d//%d\n", np.repeat(patch.faces + offset, 2, axis=1)))
             offset += len(patch.vertices)
+
+
+def _lines(form: str, table: np.ndarray) -> bytes:
+    """The form once per row; one formatting of all rows is five times faster than numpy.savetxt."""
+    return ((form * len(table)) % tuple(table.ravel().tolist())).encode()

@@ -9,6 +9,9 @@ from jaxtyping import Float, Int, UInt8
 
 GREY = (150, 150, 150)
 LIGHTNESS = (0.70, 0.55, 0.82)
+# After 21 steps of the golden angle the hue is 8 degrees from the first, at the same lightness: shifted then.
+ROUND = 21
+SHIFTS = (0.0, -0.08, 0.07)
 CHROMA = 0.14
 FIRST_HUE = 4.4  # radians; a blue
 
@@ -17,7 +20,7 @@ def colors(num: int) -> UInt8[np.ndarray, "num 3"]:
     """The first `num` colours, red green blue 0-255."""
     i = np.arange(num)
     hue = FIRST_HUE + i * np.pi * (3 - np.sqrt(5))
-    lightness = np.array(LIGHTNESS)[i % len(LIGHTNESS)]
+    lightness = np.array(LIGHTNESS)[i % len(LIGHTNESS)] + np.array(SHIFTS)[i // ROUND % len(SHIFTS)]
     return _srgb(lightness, CHROMA * np.cos(hue), CHROMA * np.sin(hue))
 
 

@@ -1,0 +1,111 @@
+"""`jprimfit demo`: the main job on the bundled scan, and the truth that its points were made from beside the answer.
+
+Truth and answer are paired kind by kind so that the sum of their discrepancies is least (linear assignment).
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+EXAMPLES = """examples:
+  jprimfit demo                     files in out/demo
+  jprimfit demo --out somewhere
+"""
+ASSETS = Path(__file__).resolve().parent.parent / "assets"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's options to a parser."""
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fits the bundled scan, prints its primitives and how far each lies from the truth."""
+    from jprimfit.apps import fit
+    from jprimfit.apps.outputs import check_target
+
+    check_target(arguments.out)
+    options = argparse.Namespace(no_network=False, model="default", seed=0, filter="auto", smooth="off")
+    outcome = fit.fit_file(ASSETS / "demo.ply", arguments.out, options, say=fit._progress)
+    print(fit.answer_text(outcome))
+    print("\ntruth and answer; the last column says how far they are apart\n")
+    print(truth_text(read_truth(ASSETS / "demo_truth.json"), outcome.scene))
+    print(f"\nthe picture: {arguments.out / 'report.png'}")
+    return 0
+
+
+def read_truth(path: Path) -> list[Any]:
+    """The primitives in the truth file, float64."""
+    import numpy as np
+
+    from jprimfit.scene import CLASSES
+
+    entries = json.loads(path.read_text(encoding="utf-8"))["primitives"]
+    classes = [CLASSES[entry["kind"]] for entry in entries]
+    return [c(*(np.array(e[name], np.float64) for name in c._fields)) for c, e in zip(classes, entries, strict=True)]
+
+
+def truth_text(truth: Sequence[Any], scene: Any) -> str:
+    """Two lines per true primitive: its parameters, and those of the answer with the difference."""
+    import numpy as np
+
+    from jprimfit.io.text_table import describe, length_formatter, text_table
+
+    length = length_formatter(scene.extent())
+    pairs = match(truth, scene.primitives, center=np.nanmean(scene.points, axis=0), extent=scene.extent())
+    rows = []
+    for i, primitive in enumerate(truth):
+        rows.append([primitive.kind, "truth", *describe(primitive, length), ""])
+        if i not in pairs:
+            rows.append(["", "not found", "", "", "", ""])
+            continue
+        label, difference = pairs[i]
+        rows.append(
+            ["", f"#{label}", *describe(scene.primitives[label], length), _apart(primitive, difference, length)]
+        )
+    extra = [name for label, name in enumerate(scene.names()) if label not in {j for j, _ in pairs.values()}]
+    table = text_table(["kind", "", "size", "axis or normal", "position", "apart"], rows)
+    return table + (f"\n\nfound besides: {', '.join(extra)}" if extra else "")
+
+
+def match(truth: Sequence[Any], found: Sequence[Any], *, center: Any, extent: float) -> dict[int, tuple[int, Any]]:
+    """For each row of truth that has a partner in found: the partner's row and their Discrepancy.
+
+    Offsets of planes are compared at `center`: far from the scan a small angle would look like a large shift.
+    """
+    import jax
+    import numpy as np
+    from scipy.optimize import linear_sum_assignment
+
+    from jprimfit.primitives import table
+
+    pairs = {}
+    for kind in table.KINDS:
+        rows = [i for i, p in enumerate(truth) if p.kind == kind]
+        columns = [j for j, p in enumerate(found) if p.kind == kind]
+        with jax.enable_x64(True):
+            moved = [
+                [table.transform(source[i], np.eye(3), -np.asarray(center), 1.0) for i in chosen]
+                for source, chosen in ((truth, rows), (found, columns))
+            ]
+            apart = [[table.of(kind).discrepancy(a, b) for b in moved[1]] for a in moved[0]]
+        length = 1.0 if kind == "cone" else extent  # a cone's size is an angle
+        cost = [[float(d.direction + d.position / extent + d.size / length) for d in row] for row in apart]
+        if rows and columns:
+            for i, j in zip(*linear_sum_assignment(np.array(cost)), strict=True):
+                pairs[rows[i]] = (columns[j], apart[i][j])
+    return pairs
+
+
+def _apart(primitive: Any, difference: Any, length: Any) -> str:
+    import numpy as np
+
+    parts = [] if primitive.kind == "sphere" else [f"{np.degrees(float(difference.direction)):.3f} deg"]
+    parts.append(f"position {length(difference.position)}")
+    if primitive.kind == "cone":
+        parts.append(f"half-angle {np.degrees(float(difference.size)):.3f} deg")
+    elif primitive.kind != "plane":
+        parts.append(f"radius {length(difference.size)}")
+    return ", ".join(parts)

@@ -1,0 +1,175 @@
+"""`jprimfit fit`: one scan or several in, for each a folder with the scene, coloured points, surfaces and a picture.
+
+Tables go to stdout, progress and complaints to stderr. Of several scans each has a folder of its own under --out; a
+scan that cannot be used is named in one sentence, the others go on, and the exit code is 2.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from jprimfit.scene import Scene
+
+EXAMPLES = """examples:
+  jprimfit fit scan.ply --out out/scan            one scan, files in out/scan
+  jprimfit fit a.xyz b.stl c.npz --out out        several, files in out/a, out/b, out/c
+  jprimfit fit noisy.ply --out out --filter on    remove outliers whether or not there seem to be any
+
+formats:
+  PLY, XYZ/CSV/TXT/ASC/PTS, NPY/NPZ, OBJ, STL; with pip install 'jprimfit[formats]' also PCD, LAS/LAZ, E57.
+  A mesh is sampled at 65,536 points. Any unit, any position; the answer is in those of the scan.
+
+files in DIR:
+  scene.json + scene.npz   everything, for jprimfit.Scene.load     segments.ply   points coloured by primitive
+  surfaces.obj + .mtl      the trimmed surfaces                    report.png     scan, segments and surfaces
+  surfaces.step            the same for CAD, with pip install 'jprimfit[cad]'
+"""
+
+
+class Outcome(NamedTuple):
+    """One scan of a batch: the scene, or the sentence that says why there is none."""
+
+    scan: Path
+    folder: Path
+    scene: "Scene | None"
+    seconds: float
+    failure: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's options to a parser."""
+    parser.add_argument("inputs", nargs="+", type=Path, metavar="INPUT", help="scan file")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument(
+        "--filter", choices=["auto", "on", "off"], default="auto", help="remove outliers (auto: if there are any)"
+    )
+    parser.add_argument("--smooth", choices=["on", "off"], default="off", help="smooth what the segmentation sees")
+    parser.add_argument("--no-network", action="store_true", help="by geometry alone: region growing")
+    parser.add_argument(
+        "--model", default="default", metavar="NAME", help="network, by name or folder (default: default)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random choices (default 0)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but complaints")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fits every scan and prints the tables; 0 if all went well, 2 if one was refused."""
+    from jprimfit.apps.outputs import check_target
+
+    check_target(arguments.out)
+    say = _silent if arguments.quiet else _progress
+    if len(arguments.inputs) == 1:
+        outcome = fit_file(arguments.inputs[0], arguments.out, arguments, say=say)
+        if not arguments.quiet:
+            print(answer_text(outcome))
+        return 0
+    outcomes = []
+    for number, (scan, folder) in enumerate(
+        zip(arguments.inputs, _folders(arguments.inputs, arguments.out), strict=True)
+    ):
+        say(f"scan {number + 1} of {len(arguments.inputs)}")
+        try:
+            outcomes.append(fit_file(scan, folder, arguments, say=say))
+        except ValueError as error:
+            failure = " ".join(str(error).split())
+            print(f"jprimfit: fit: {failure}", file=sys.stderr)
+            outcomes.append(Outcome(scan, folder, None, 0.0, failure))
+    if not arguments.quiet:
+        print(summary_text(outcomes))
+    return 2 if any(outcome.scene is None for outcome in outcomes) else 0
+
+
+def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Callable[[str], None]) -> Outcome:
+    """Reads a scan, fits it and writes the files of the answer; ValueError of one sentence that names the scan."""
+    begin = time.perf_counter()
+    from jprimfit.apps.cache import use_compilation_cache
+    from jprimfit.apps.outputs import write_outputs
+    from jprimfit.io.clouds import read_cloud
+
+    cloud = read_cloud(scan)
+    say(f"{scan}: {len(cloud.points):,} points")
+    use_compilation_cache()
+    from jprimfit import pipeline
+
+    try:
+        scene = pipeline.fit(
+            cloud.points,
+            cloud.normals,
+            model=None if options.no_network else options.model,
+            seed=options.seed,
+            filter=options.filter,
+            smooth=options.smooth == "on",
+        )
+    except ValueError as error:
+        raise ValueError(f"{scan}: {error}") from error
+    say(f"{scan}: {_kinds_text(scene)} after {time.perf_counter() - begin:.1f} s, writing {folder}")
+    write_outputs(scene, folder, title=scan.name)
+    return Outcome(scan, folder, scene, time.perf_counter() - begin, "")
+
+
+def answer_text(outcome: Outcome) -> str:
+    """The table of the primitives, how much of the scan they explain, and where the files are."""
+    import numpy as np
+
+    scene = outcome.scene
+    assert scene is not None
+    explained = np.mean(scene.labels >= 0)
+    lines = [
+        scene.table(),
+        "",
+        f"{_kinds_text(scene)}, on which {100 * explained:.1f} % of {len(scene.points):,} points lie",
+    ]
+    if np.isfinite(scene.noise):
+        lines[-1] += f", noise {scene.noise:.3g}"
+    return "\n".join([*lines, f"wrote {outcome.folder} in {outcome.seconds:.1f} s"])
+
+
+def summary_text(outcomes: Sequence[Outcome]) -> str:
+    """One line per scan of a batch."""
+    import numpy as np
+
+    from jprimfit.io.text_table import text_table
+
+    rows = []
+    for outcome in outcomes:
+        scene = outcome.scene
+        if scene is None:
+            rows.append([str(outcome.scan), "", "", "", "", f"failed: {outcome.failure}"])
+            continue
+        explained = f"{100 * np.mean(scene.labels >= 0):.1f} %"
+        measured = [f"{len(scene.points):,}", explained, f"{outcome.seconds:.1f}"]
+        rows.append([str(outcome.scan), *measured, _kinds_text(scene), str(outcome.folder)])
+    return text_table(["scan", "points", "explained", "seconds", "primitives", "result"], rows)
+
+
+def _kinds_text(scene: "Scene") -> str:
+    kinds = [primitive.kind for primitive in scene.primitives]
+    parts = [f"{kinds.count(k)} {k}{'s' if kinds.count(k) > 1 else ''}" for k in dict.fromkeys(sorted(kinds))]
+    return ", ".join(parts) or "no primitives"
+
+
+def _folders(scans: Sequence[Path], out: Path) -> list[Path]:
+    """A folder per scan, by its stem; one that came before, upper and lower case being equal, gets a number."""
+    taken: set[str] = set()
+    folders = []
+    for scan in scans:
+        stem = scan.stem or "scan"
+        name, number = stem, 1
+        while name.lower() in taken:
+            number += 1
+            name = f"{stem}-{number}"
+        taken.add(name.lower())
+        folders.append(out / name)
+    return folders
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _silent(line: str) -> None:
+    """Takes the place of `_progress` under --quiet."""

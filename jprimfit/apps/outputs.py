@@ -1,0 +1,87 @@
+"""The files of one answer: made in a folder beside the target, moved there when all are complete.
+
+A new target appears by one rename. In a folder that exists every file is replaced by a rename of its own, scene.json
+last; files of an earlier answer that the new one lacks are removed, files of others are left alone.
+"""
+
+import contextlib
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from jprimfit.scene import Scene
+
+NAMES = ("segments.ply", "surfaces.mtl", "surfaces.obj", "surfaces.step", "report.png", "scene.npz", "scene.json")
+
+
+def write_outputs(scene: Scene, folder: Path, *, title: str = "") -> tuple[str, ...]:
+    """Writes the answer into `folder`, whole or not at all, and returns the names of the files."""
+    from jprimfit.cad.patches import patch
+    from jprimfit.io import obj, palette, ply, report
+    from jprimfit.primitives.table import KINDS
+
+    kinds = [primitive.kind for primitive in scene.primitives]
+    type_ids = np.array([*(KINDS.index(kind) for kind in kinds), -1], np.int32)  # label -1 takes the last
+    patches = [patch(primitive, scene.points[scene.labels == i]) for i, primitive in enumerate(scene.primitives)]
+    shown = [i for i, surface in enumerate(patches) if len(surface.faces)]
+    names, colors = scene.names(), palette.colors(len(kinds))
+    with staged(folder) as place:
+        scene.save(place / "scene.json")
+        point_colors = palette.colors_of_labels(scene.labels)
+        ply.write_segments(
+            place / "segments.ply", scene.points, scene.normals, point_colors, scene.labels, type_ids[scene.labels]
+        )
+        obj.write_surfaces(
+            place / "surfaces.obj", [names[i] for i in shown], [patches[i] for i in shown], colors[shown]
+        )
+        report.write_report(place / "report.png", scene.points, scene.labels, kinds, patches, title=title)
+        if find_spec("OCP") and find_spec("jprimfit.cad.step"):
+            from jprimfit.cad import step
+
+            step.write_step(place / "surfaces.step", scene.primitives, patches)
+        return tuple(sorted(file.name for file in place.iterdir()))
+
+
+def check_target(folder: Path) -> None:
+    """ValueError of one sentence if `folder` can certainly not be written, so that nobody waits for a fit in vain."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--out {folder} is a file: give a folder.")
+    existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        raise ValueError(f"--out {folder} cannot be written ({existing} does not allow it): give another folder.")
+
+
+@contextlib.contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """An empty folder whose files become those of `folder` when the block ends well; otherwise nothing has happened."""
+    folder = folder.absolute()
+    missing = [parent for parent in folder.parents if not parent.exists()]
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    place = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}.partial")
+    try:
+        place.mkdir()
+        yield place
+        _publish(place, folder)
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        with contextlib.suppress(OSError):  # one that is no longer empty stays
+            for parent in missing:
+                parent.rmdir()
+        raise
+
+
+def _publish(place: Path, folder: Path) -> None:
+    if not folder.exists():
+        os.rename(place, folder)
+        return
+    made = [name for name in NAMES if (place / name).exists()]
+    for name in made:
+        os.replace(place / name, folder / name)
+    for name in set(NAMES) - set(made):
+        (folder / name).unlink(missing_ok=True)
+    shutil.rmtree(place)
