@@ -37,10 +37,10 @@ class Standard(NamedTuple):
 def standardise(points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Standard:
     """Shift to the weighted mean, divide by the rms distance from it, and divide the weights by their sum.
 
-    center, scale and the sum are constants to the derivative: what a fitter makes of the local points and moves back
-    does not depend on them, so the derivative through them would be zero at greater cost.
+    center and scale are constants to the derivative: what a fitter makes of the local points and moves back does not
+    depend on them, so the derivative through them would be zero at greater cost.
     """
-    weights = safe.divide(weights, jax.lax.stop_gradient(jnp.sum(weights)))
+    weights = safe.divide(weights, jnp.sum(weights))
     center = jax.lax.stop_gradient(weighted_mean(points, weights))
     shifted = points - center[None, :]
     size = jax.lax.stop_gradient(safe.sqrt(jnp.sum(weights * jnp.sum(shifted * shifted, axis=1))))
