@@ -49,7 +49,7 @@ class Mesh(NamedTuple):
 class Trims(NamedTuple):
     """Analytic faces, each cut out of its primitive by closed polygons in the parameters (a, b) of the surface.
 
-    x, y, z are the rows of frames[k], z the normal, axis or pole, and u(a) = cos(a)·x + sin(a)·y. The point (a, b) is
+    x, y, z are the rows of frames[k], z = normal, axis or pole, and u(a) = cos(a)·x + sin(a)·y. The point (a, b) is
     plane: offset·z + a·x + b·y                     sphere: center + radius·(cos(b)·u(a) + sin(b)·z)
     cylinder: center + b·z + radius·u(a)            cone: apex + b·(z + tan(half_angle)·u(a))
     A point belongs to the face if an odd number of its loops encloses (a, b); a loop may run past one turn in a.
@@ -149,7 +149,8 @@ def check(part: Part, *, source: str) -> None:
     _require(part.scale > 0 and part.background_area >= 0, source, "its scale is not positive or an area is negative")
     count = len(part.primitives)
     _require(count <= MAX_INSTANCES, source, f"it has {count} instances, more than {MAX_INSTANCES}")
-    check_table(pack(part.primitives), source=source)
+    table = pack(part.primitives)
+    check_table(table, source=source)
     if part.areas is not None:
         _array(part.areas, (count,), "areas", source)
         _require(bool(np.all(part.areas >= 0)), source, "an area is negative")
@@ -161,7 +162,7 @@ def check(part: Part, *, source: str) -> None:
         _integers(part.mesh.faces, (None, 3), 0, len(part.mesh.vertices), "faces", source)
         _integers(part.mesh.labels, (len(part.mesh.faces),), BACKGROUND, count, "mesh labels", source)
     if part.trims is not None:
-        _check_trims(part.trims, count, source)
+        _check_trims(part.trims, table, source)
 
 
 def _check_cloud(cloud: Cloud, count: int, source: str) -> None:
@@ -177,12 +178,17 @@ def _check_cloud(cloud: Cloud, count: int, source: str) -> None:
         _array(cloud.sample_normals, shape, "sample normals", source, unit=True)
 
 
-def _check_trims(trims: Trims, count: int, source: str) -> None:
-    _integers(trims.labels, (None,), 0, count, "trim labels", source)
+def _check_trims(trims: Trims, table: Table, source: str) -> None:
+    _integers(trims.labels, (None,), 0, len(table.kind), "trim labels", source)
     _array(trims.frames, (len(trims.labels), 3, 3), "frames", source)
     with np.errstate(over="ignore", invalid="ignore"):
         skew = trims.frames @ np.swapaxes(trims.frames, 1, 2) - np.eye(3)[None]
     _require(bool(np.all(np.abs(skew) < 1e-6)), source, "a frame is not orthonormal")
+    kind, direction = table.kind[trims.labels], table.parameters[trims.labels, :3]
+    along = np.sum(trims.frames[:, 2] * direction, axis=1)
+    along = np.where(kind == KINDS.index("cylinder"), np.abs(along), along)
+    good = (np.abs(along - 1.0) < 1e-6) | (kind == KINDS.index("sphere"))
+    _require(bool(np.all(good)), source, "the third row of a frame is not the normal or axis")
     _integers(trims.outward, (len(trims.labels),), -1, 2, "outward signs", source)
     _require(bool(np.all(trims.outward != 0)), source, "an outward sign is 0")
     _integers(trims.loop_face, (None,), 0, len(trims.labels), "loop faces", source)
