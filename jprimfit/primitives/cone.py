@@ -23,6 +23,9 @@ NUM_FREEDOM = 6
 
 MIN_HALF_ANGLE = 1e-3  # radians; as far from a right angle
 MAX_HALF_ANGLE = math.pi / 2 - MIN_HALF_ANGLE
+# A plane with noisy normals looks like a cone of nearly a right half-angle whose points lie on both sides of the apex:
+# at least three quarters of the heights must agree in sign.
+MIN_ONE_SIDED = 0.5
 
 
 def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]) -> Fit:
@@ -31,7 +34,8 @@ def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float
     The normals are unit vectors of any sign. The apex minimises sum w (normal·(apex - p))^2. With all normals turned
     outwards, normal·axis is one constant, so the axis is the smallest direction of the centred normals; it points to
     the side of the points. The half-angle is the weighted mean angle between it and p - apex, without sign.
-    Not ok: no weight, a plane, a cylinder (no apex), a sphere, a half-angle at its bounds.
+    Not ok: no weight, a plane, a cylinder (no apex), a sphere, points on both sides of the apex, a half-angle at its
+    bounds.
     """
     standard = standardise(points, weights)
     weights = standard.weights
@@ -44,8 +48,9 @@ def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float
     cosines = jnp.matmul(directions, axis, precision=HIGHEST)
     sines = safe.norm(directions - cosines[:, None] * axis[None, :])
     half_angle = jnp.sum(weights * safe.arctan2(sines, jnp.abs(cosines)))
+    one_sided = jnp.abs(jnp.sum(weights * cosines)) > MIN_ONE_SIDED * jnp.sum(weights * jnp.abs(cosines))
     ok = position_determined(tangent, jnp.ones((), points.dtype)) & direction_determined(eigenvalues, standard.count)
-    ok = ok & (half_angle > MIN_HALF_ANGLE) & (half_angle < MAX_HALF_ANGLE)
+    ok = ok & one_sided & (half_angle > MIN_HALF_ANGLE) & (half_angle < MAX_HALF_ANGLE)
     axis = jnp.where(jnp.sum(weights * cosines) < 0, -axis, axis)
     apex = standard.center + standard.scale * (mean + tangent.x)
     return Fit(Cone(axis, apex, jnp.clip(half_angle, MIN_HALF_ANGLE, MAX_HALF_ANGLE)), ok)
