@@ -13,6 +13,9 @@ EXAMPLES = """examples:
   jprimfit demo                     files in out/demo
   jprimfit demo --out somewhere
 """
+# Direction in radians, position and size in parts of the scan: what lies further from a true surface is another one.
+MAX_COST = 0.05
+MAX_NAMES = 12
 ASSETS = Path(__file__).resolve().parent.parent / "assets"
 
 
@@ -67,36 +70,53 @@ def truth_text(truth: Sequence[Any], scene: Any) -> str:
         )
     extra = [name for label, name in enumerate(scene.names()) if label not in {j for j, _ in pairs.values()}]
     table = text_table(["kind", "", "size", "axis or normal", "position", "apart"], rows)
-    return table + (f"\n\nfound besides: {', '.join(extra)}" if extra else "")
+    more = f" and {len(extra) - MAX_NAMES} more" if len(extra) > MAX_NAMES else ""
+    return table + (f"\n\nfound besides: {', '.join(extra[:MAX_NAMES])}{more}" if extra else "")
 
 
 def match(truth: Sequence[Any], found: Sequence[Any], *, center: Any, extent: float) -> dict[int, tuple[int, Any]]:
-    """For each row of truth that has a partner in found: the partner's row and their Discrepancy.
+    """For each row of truth that has a partner in found: the partner's row and their Discrepancy, as floats.
 
     Offsets of planes are compared at `center`: far from the scan a small angle would look like a large shift.
     """
-    import jax
     import numpy as np
     from scipy.optimize import linear_sum_assignment
 
-    from jprimfit.primitives import table
-
     pairs = {}
-    for kind in table.KINDS:
+    for kind in ("plane", "sphere", "cylinder", "cone"):
         rows = [i for i, p in enumerate(truth) if p.kind == kind]
         columns = [j for j, p in enumerate(found) if p.kind == kind]
-        with jax.enable_x64(True):
-            moved = [
-                [table.transform(source[i], np.eye(3), -np.asarray(center), 1.0) for i in chosen]
-                for source, chosen in ((truth, rows), (found, columns))
-            ]
-            apart = [[table.of(kind).discrepancy(a, b) for b in moved[1]] for a in moved[0]]
+        apart = _discrepancies([truth[i] for i in rows], [found[j] for j in columns], np.asarray(center))
         length = 1.0 if kind == "cone" else extent  # a cone's size is an angle
-        cost = [[float(d.direction + d.position / extent + d.size / length) for d in row] for row in apart]
-        if rows and columns:
-            for i, j in zip(*linear_sum_assignment(np.array(cost)), strict=True):
-                pairs[rows[i]] = (columns[j], apart[i][j])
+        cost = np.array([[d.direction + d.position / extent + d.size / length for d in row] for row in apart])
+        if cost.size:
+            for i, j in zip(*linear_sum_assignment(np.minimum(cost, 2 * MAX_COST)), strict=True):
+                if cost[i, j] < MAX_COST:
+                    pairs[rows[i]] = (columns[j], apart[i][j])
     return pairs
+
+
+def _discrepancies(truth: Sequence[Any], found: Sequence[Any], center: Any) -> list[list[Any]]:
+    """A row per true primitive, a Discrepancy of floats per found one of the same kind; center becomes the origin."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from jprimfit.primitives import table
+    from jprimfit.types import Discrepancy
+
+    if not truth or not found:
+        return []
+
+    def apart(a: Any, b: Any) -> Any:
+        a, b = (table.transform(p, jnp.eye(3), -jnp.asarray(center), jnp.ones(())) for p in (a, b))
+        return table.of(a).discrepancy(a, b)
+
+    with jax.enable_x64(True):
+        stacks = [type(p[0])(*(jnp.asarray(np.stack(x)) for x in zip(*p, strict=True))) for p in (truth, found)]
+        every = jax.jit(jax.vmap(jax.vmap(apart, in_axes=(None, 0)), in_axes=(0, None)))(*stacks)
+        values = np.stack([np.asarray(x) for x in every], axis=-1)
+    return [[Discrepancy(*map(float, pair)) for pair in row] for row in values]
 
 
 def _apart(primitive: Any, difference: Any, length: Any) -> str:

@@ -103,11 +103,13 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
             seed=options.seed,
             filter=options.filter,
             smooth=options.smooth == "on",
+            progress=_stages(scan, say),
         )
     except ValueError as error:
         raise ValueError(f"{scan}: {error}") from error
     say(f"{scan}: {_kinds_text(scene)} after {time.perf_counter() - begin:.1f} s, writing {folder}")
-    write_outputs(scene, folder, title=scan.name)
+    for note in write_outputs(scene, folder, title=scan.name):
+        say(f"{scan}: {note}")
     return Outcome(scan, folder, scene, time.perf_counter() - begin, "")
 
 
@@ -165,6 +167,18 @@ def _folders(scans: Sequence[Path], out: Path) -> list[Path]:
         taken.add(name.lower())
         folders.append(out / name)
     return folders
+
+
+def _stages(scan: Path, say: Callable[[str], None]) -> Callable[[str, int, int], None]:
+    """A progress callback (stage, steps done, steps in all) that says each stage once, when it begins."""
+    said: set[str] = set()
+
+    def report(stage: str, done: int, total: int) -> None:
+        if stage not in said:
+            said.add(stage)
+            say(f"{scan}: {stage}")
+
+    return report
 
 
 def _progress(line: str) -> None:

@@ -9,7 +9,6 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,9 @@ from jprimfit.scene import Scene
 NAMES = ("segments.ply", "surfaces.mtl", "surfaces.obj", "surfaces.step", "report.png", "scene.npz", "scene.json")
 
 
-def write_outputs(scene: Scene, folder: Path, *, title: str = "") -> tuple[str, ...]:
-    """Writes the answer into `folder`, whole or not at all, and returns the names of the files."""
+def write_outputs(scene: Scene, folder: Path, *, title: str = "") -> list[str]:
+    """Writes the answer into `folder`, whole or not at all; says what a file had to leave out."""
+    from jprimfit.cad import step
     from jprimfit.cad.patches import patch
     from jprimfit.io import obj, palette, ply, report
     from jprimfit.primitives.table import KINDS
@@ -40,11 +40,11 @@ def write_outputs(scene: Scene, folder: Path, *, title: str = "") -> tuple[str, 
             place / "surfaces.obj", [names[i] for i in shown], [patches[i] for i in shown], colors[shown]
         )
         report.write_report(place / "report.png", scene.points, scene.labels, kinds, patches, title=title)
-        if find_spec("OCP") and find_spec("jprimfit.cad.step"):
-            from jprimfit.cad import step
-
-            step.write_step(place / "surfaces.step", scene.primitives, patches)
-        return tuple(sorted(file.name for file in place.iterdir()))
+        left_out = step.write_step(place / "surfaces.step", scene.primitives, patches) if step.available() else []
+    notes = [
+        f"surfaces.obj lacks {name}: too few points to trim it to" for i, name in enumerate(names) if i not in shown
+    ]
+    return notes + [f"surfaces.step lacks {names[i]}: no valid face came of it" for i in left_out if i in shown]
 
 
 def check_target(folder: Path) -> None:

@@ -51,7 +51,7 @@ def describe(primitive: Primitive, length: Callable[[Any], str]) -> tuple[str, s
         return "", direction(p.normal), f"offset {length(p.offset)}"
     if p.kind == "cone":
         return f"half-angle {np.degrees(float(p.half_angle)):.3f} deg", direction(p.axis), f"apex {vector(p.apex)}"
-    size = f"radius {length(p.radius)}, diameter {length(2 * p.radius)}"
+    size = f"r = {length(p.radius)}, d = {length(2 * p.radius)}"
     return size, direction(p.axis) if p.kind == "cylinder" else "", f"center {vector(p.center)}"
 
 
@@ -66,7 +66,7 @@ def primitives_table(
     """One line per primitive; the column 'surface' only where two primitives lie on one surface."""
     length = length_formatter(extent)
     shared = len(set(surface_of.tolist())) < len(primitives)
-    header = ["#", "kind", "points", "size", "axis or normal", "position", "rms distance"]
+    header = ["#", "kind", "points", "size", "axis or normal", "position", "rms"]
     rows = []
     for i, primitive in enumerate(primitives):
         measured = length(rms_distances[i]) if np.isfinite(rms_distances[i]) else "-"

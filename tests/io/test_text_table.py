@@ -28,7 +28,7 @@ def test_lengths_follow_the_size_of_the_scan():
 def test_every_kind_is_described_with_angles_in_degrees():
     length = length_formatter(10.0)
     assert describe(Plane(X, np.float64(2)), length) == ("", "(1.0000, 0.0000, 0.0000)", "offset 2.0000")
-    assert describe(Sphere(ZERO, np.float64(2)), length)[0] == "radius 2.0000, diameter 4.0000"
+    assert describe(Sphere(ZERO, np.float64(2)), length)[0] == "r = 2.0000, d = 4.0000"
     assert describe(Cylinder(X, ZERO, np.float64(2)), length)[2] == "center (0.0000, 0.0000, 0.0000)"
     assert describe(Cone(X, ZERO, np.float64(np.pi / 6)), length)[0] == "half-angle 30.000 deg"
 
