@@ -26,8 +26,9 @@ def use_compilation_cache() -> Path | None:
     """
     import jax
 
-    if jax.config.jax_compilation_cache_dir:
-        return Path(jax.config.jax_compilation_cache_dir)
+    given = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if given:
+        return Path(given)
     with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: no home folder
         folder = cache_folder() / "xla"
         folder.mkdir(parents=True, exist_ok=True)

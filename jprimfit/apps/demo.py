@@ -116,7 +116,7 @@ def _discrepancies(truth: Sequence[Any], found: Sequence[Any], center: Any) -> l
         stacks = [type(p[0])(*(jnp.asarray(np.stack(x)) for x in zip(*p, strict=True))) for p in (truth, found)]
         every = jax.jit(jax.vmap(jax.vmap(apart, in_axes=(None, 0)), in_axes=(0, None)))(*stacks)
         values = np.stack([np.asarray(x) for x in every], axis=-1)
-    return [[Discrepancy(*map(float, pair)) for pair in row] for row in values]
+    return [[Discrepancy._make(map(float, pair)) for pair in row] for row in values]
 
 
 def _apart(primitive: Any, difference: Any, length: Any) -> str:

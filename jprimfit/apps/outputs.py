@@ -10,15 +10,17 @@ import shutil
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jprimfit.scene import Scene
+if TYPE_CHECKING:
+    from jprimfit.scene import Scene
 
 NAMES = ("segments.ply", "surfaces.mtl", "surfaces.obj", "surfaces.step", "report.png", "scene.npz", "scene.json")
 
 
-def write_outputs(scene: Scene, folder: Path, *, title: str = "") -> list[str]:
+def write_outputs(scene: "Scene", folder: Path, *, title: str = "") -> list[str]:
     """Writes the answer into `folder`, whole or not at all; says what a file had to leave out."""
     from jprimfit.cad import step
     from jprimfit.cad.patches import patch

@@ -51,7 +51,8 @@ def read_npz(path: Path) -> Cloud:
     """The cloud of an .npz file, with the normals in it; BadFile if it is damaged or no array can be the points."""
     if not zipfile.is_zipfile(path):
         raise BadFile(f"{path} is not an NPZ archive or is truncated: save it again with numpy.savez.")
-    with np.load(path, allow_pickle=False) as archive:
+    # Opened here: numpy.load leaves a damaged archive's file open.
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
         names = archive.files
         key = next((name for name in POINT_KEYS if name in names), None)
         if key is None:

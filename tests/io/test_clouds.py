@@ -58,7 +58,7 @@ def _gives_a_cloud_or_a_sentence(path, data):
     assert cloud.normals is None or cloud.normals.shape == cloud.points.shape
 
 
-@pytest.mark.parametrize("examples", [60, pytest.param(20_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [60, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_any_bytes_give_a_cloud_or_one_sentence(tmp_path, monkeypatch, examples):
     files = _seeds(tmp_path)
     monkeypatch.setattr(clouds.cloud_of_mesh, "__kwdefaults__", {"num_samples": 8, "seed": 0}, raising=True)
