@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float32, Float64, Num
 from scipy.spatial import KDTree
 
 from jprimfit.geometry.hierarchy import NUM_INTERPOLATED, Hierarchy, HierarchySpec, Searches, assemble, levels
-from jprimfit.geometry.sampling import farthest_points
+from jprimfit.geometry.sampling import optimised_farthest_points
 from jprimfit.types import Neighbors
 
 TIE_DEPTH = 64  # how far behind the k-th place points of equal distance are looked for
@@ -136,7 +136,7 @@ def _sample_levels(
     points: Array, mask: Array, *, spec: HierarchySpec
 ) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
     """The farthest points of the cloud, and the points and masks of all levels."""
-    sample = farthest_points(points, mask, num_samples=spec.num_points[0])
+    sample = optimised_farthest_points(points, mask, num_samples=spec.num_points[0])
     return sample, *levels(points, mask, sample, spec=spec)[:2]
 
 
