@@ -43,7 +43,7 @@ lint: $(DEV)  ## check style and types
 	@$(RUN) -m pyright
 
 bench: $(BENCH)  ## print timings, beside other libraries' (needs a C++ compiler)
-	@$(RUN) -m pytest -m benchmark -s -q -o python_files="bm_*.py test_*.py" $(ARGS)
+	@JAXTYPING_DISABLE=1 $(RUN) -m pytest -m benchmark -s -q -o python_files="bm_*.py test_*.py" $(ARGS)
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
