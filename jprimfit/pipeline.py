@@ -1,8 +1,8 @@
 """The paper's Figure 1 in one function: preprocess -> features -> segment -> fit -> refine.
 
-No network is shipped yet, so the middle is the geometric segmentation of fitting/geometric, which finds faces and
-fits them in one; `model=None` asks for it by name. Everything between the first and the last line happens in the
-normalised frame; the scene is in the unit and frame of the input.
+No network is shipped yet: features, segmentation and a first fit are those of fitting/geometric, which finds surfaces
+by growing them. Between the first and the last line everything is in the normalised frame; the scene is in the unit
+and frame of the input.
 """
 
 import time
@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from jprimfit import checks
-from jprimfit.fitting import geometric, kinds
-from jprimfit.geometry import host
+from jprimfit.fitting import geometric, kinds, refinement
+from jprimfit.preprocessing.outliers import Mode
+from jprimfit.preprocessing.steps import preprocess, propagate
 from jprimfit.scene import Scene
 
-Progress = Callable[[str, int, int], None]
+# A cloud beyond this is thinned for the segmentation; labels and parameters always come from all its points.
+MAX_POINTS = 40_000
+NUM_POINTS = 32_768
 
 
 def fit(
@@ -25,29 +28,78 @@ def fit(
     *,
     model: str | None = "default",
     seed: int = 0,
-    filter: str = "auto",
+    filter: Mode = "auto",
     smooth: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Scene:
-    """The primitives of a scan: points (n, 3), any unit, any position."""
-    usable = checks.usable_rows(points, normals)
+    """The planes, spheres, cylinders and cones of a scan, and which of them each point lies on.
+
+    Args:
+        points: (n, 3), any unit and position. Rows that are not finite are reported and labelled -1.
+        normals: (n, 3), of any length and sign, where the scanner gives them; else they are estimated.
+        model: "default", the best that is shipped: at present geometry alone, which None asks for by name.
+        seed: of every random choice; the geometric segmentation makes none.
+        filter: removes outliers: "auto" where the scan has some, "on", "off". They are labelled -1.
+        smooth: smooths what the segmentation sees; parameters come from the raw points all the same.
+        progress: called with (stage, steps done, steps in all).
+
+    Returns:
+        The scene in the unit and frame of the input.
+
+    Raises:
+        ValueError: one sentence, where the points can be no scan or there is no model of that name.
+
+    Source: Entropy 2024, 26(9), 717, Figure 1.
+    """
+    if model not in (None, "default"):
+        raise ValueError(f"there is no model {model!r}: no network is shipped yet, use 'default' or None.")
+    say = progress or _silent
     begin = time.perf_counter()
-    frame_points, frame = host.normalize(usable.points)
-    found = geometric.segment(frame_points.astype(np.float64), seed=seed)
-    primitives = tuple(kinds.move(p, frame.center, frame.scale) for p in found.primitives)
-    num = len(np.asarray(points))
-    labels = np.full(num, -1, np.int32)
-    labels[usable.rows] = found.labels
-    all_normals = np.full((num, 3), np.nan)
-    all_normals[usable.rows] = found.normals
-    distances = np.full(num, np.nan)
-    return Scene(
-        np.asarray(points, float),
-        labels,
-        primitives,
-        found.surface_of,
-        all_normals,
-        distances,
-        noise=found.noise * frame.scale,
-        report={"seconds": time.perf_counter() - begin},
+    usable = checks.usable_rows(points, normals)
+
+    say("preprocess", 0, 1)
+    ready = preprocess(usable.points, filter=filter, smooth=smooth, max_points=MAX_POINTS, num_points=NUM_POINTS)
+    kept = np.setdiff1d(np.arange(len(usable.points)), ready.removed)
+    cloud = ready.frame.from_input(usable.points[kept])
+    thinned = ready.points.astype(np.float64)
+    given, given_thinned = (
+        (None, None) if usable.normals is None else (usable.normals[kept], usable.normals[ready.index])
     )
+
+    say("segment", 0, len(thinned))
+    proposal = geometric.propose(thinned, given_thinned, progress=lambda done, total: say("segment", done, total))
+
+    say("refine", 0, 1)
+    labels = propagate(proposal.labels, thinned, cloud)
+    found = refinement.refine(cloud, proposal.surfaces, labels, given)
+
+    rows, center, scale = usable.rows[kept], ready.frame.center, ready.frame.scale
+    num_points = len(np.asarray(points))
+    return Scene(
+        points=np.asarray(points, np.float64),
+        labels=_spread(found.labels, rows, num_points, -1),
+        primitives=tuple(kinds.move(primitive, center, scale) for primitive in found.primitives),
+        surface_of=found.surface_of,
+        normals=_spread(found.normals, rows, num_points, np.nan),
+        distances=_spread(found.distances * scale, rows, num_points, np.nan),
+        noise=found.noise * scale,
+        report={
+            "num_points": num_points,
+            "num_unusable": num_points - len(usable.points),
+            "preprocessing": ready.report,
+            "network": None,
+            "settings": {"filter": filter, "smooth": smooth, "seed": seed},
+            "seconds": round(time.perf_counter() - begin, 3),
+        },
+    )
+
+
+def _spread(values: np.ndarray, rows: np.ndarray, num_rows: int, fill: float) -> np.ndarray:
+    """values at the given rows of an array of num_rows, fill elsewhere."""
+    spread = np.full((num_rows, *values.shape[1:]), fill, dtype=values.dtype)
+    spread[rows] = values
+    return spread
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Takes the place of a progress callback where none was given."""

@@ -6,7 +6,7 @@ points, until the region no longer changes. The kind that explains most points w
 of freedom, since a cone can always pose as a cylinder and a cylinder as a plane. The next seed is the deepest point
 left (region growing: Besl and Jain 1988; core and border points: Ester et al. 1996). Points beside an edge are not
 core; a region only claims those it explains, and another region may claim them too. Host code around the jitted fits
-of fitting/kinds. Lengths in the normalised frame. n points, k neighbours, e links.
+of fitting/kinds. Lengths in the normalised frame. n points, k neighbours.
 """
 
 from collections.abc import Callable
@@ -29,8 +29,10 @@ SEED_POINTS = (8, 64)  # least and most points of a seed patch on a clean cloud
 MIN_EXCESS = 5  # points beyond the degrees of freedom that a region must have
 GROWTH_ROUNDS = 16
 CLAIM_RINGS = 3  # links that a claim reaches beyond the core of a region
-HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.92}  # factor on the points explained
+HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.92}  # factor on the evidence
 MAX_PASSES = 4
+SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to be tried
+QUIET = 0.05  # noise per spacing below which a patch of a few dozen points shows its kind
 
 
 class Region(NamedTuple):
@@ -38,6 +40,7 @@ class Region(NamedTuple):
 
     rows: Int[np.ndarray, " r"]  # rows of the cloud, ascending; rows beside an edge may be in several regions
     primitive: Primitive  # float64, frame of the cloud
+    evidence: float = 0.0  # gain in log-likelihood over leaving the rows unexplained, in nats
 
 
 class _Pass(NamedTuple):
@@ -46,8 +49,7 @@ class _Pass(NamedTuple):
     points: Float[np.ndarray, "n 3"]
     surface: LocalSurface
     cloud: kinds.Cloud
-    start: Int[np.ndarray, " e"]  # links between neighbours
-    end: Int[np.ndarray, " e"]
+    links: Int[np.ndarray, "n k"]  # nearest neighbours of each point
     tolerance: float
     taken: Bool[np.ndarray, " n"]  # core of a region: for no other
     claimed: Bool[np.ndarray, " n"]  # explained by a region, yet open to others
@@ -73,7 +75,7 @@ def grow_regions(
     for _ in range(MAX_PASSES):
         state = _start(points[rows], surface, claimed)
         found = _grow_pass(state)
-        regions += [Region(rows[region.rows], region.primitive) for region in found]
+        regions += [region._replace(rows=rows[region.rows]) for region in found]
         left = ~state.taken & ~state.claimed
         if progress is not None:
             progress(len(points) - int(left.sum()), len(points))
@@ -89,11 +91,10 @@ def grow_regions(
 
 
 def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"]) -> _Pass:
-    index = surface.index[:, 1 : NUM_LINKS + 1]
-    start, end = np.repeat(np.arange(len(index)), index.shape[1]), index.ravel()
+    links = surface.index[:, 1 : NUM_LINKS + 1]
     cloud = kinds.Cloud(points, surface.normal)
     taken = np.zeros(len(points), dtype=bool)
-    return _Pass(points, surface, cloud, start, end, tolerance(surface), taken, claimed.copy())
+    return _Pass(points, surface, cloud, links, tolerance(surface), taken, claimed.copy())
 
 
 def _grow_pass(state: _Pass) -> list[Region]:
@@ -116,7 +117,7 @@ def _grow_pass(state: _Pass) -> list[Region]:
         claims = _claim(state, region)
         state.claimed[claims] = True
         rows = np.union1d(region.rows, claims)
-        regions.append(Region(rows, region.primitive))
+        regions.append(Region(rows, region.primitive, region.evidence))
         seeds[rows] = False
         if seeds.any():
             depth[seeds] = np.minimum(depth[seeds], cKDTree(points[rows]).query(points[seeds])[0])
@@ -128,19 +129,55 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
     patch = _seed_patch(state, seed, depth)
     if len(patch) < SEED_POINTS[0]:
         return None
-    quiet = state.surface.noise < 0.05 * state.surface.spacing
-    best, best_support = None, 0.0
+    quiet = state.surface.noise < QUIET * state.surface.spacing
+    best: Region | None = None
     for kind in KINDS:
         region = _grow_kind(state, patch, kind)
         if region is None:
             continue
-        support = HANDICAP[kind] * len(region.rows)
-        if support > best_support:
-            best, best_support = region, support
-        # Without noise a surface of too few degrees of freedom does not outgrow its seed.
-        if quiet and len(region.rows) > 2.5 * len(patch):
+        if best is None or region.evidence > best.evidence:
+            best = region
+        # Without noise a surface of too few degrees of freedom does not outgrow its seed; with noise see below.
+        if not quiet or len(region.rows) > 2.5 * len(patch):
             break
+    while best is not None and not quiet:
+        better = _regrow(state, best)
+        if better is None:
+            break
+        best = better
     return best
+
+
+def _regrow(state: _Pass, region: Region) -> Region | None:
+    """A region of another kind grown from this one's points that explains more; None where there is none.
+
+    Noise hides the curvature of a seed patch, but not that of the strip which the wrong kind has grown from it. Only
+    kinds that fit the strip significantly better are tried.
+    """
+    best = None
+    own = _refitted(state, region.primitive.kind, region.rows)
+    for kind in KINDS:
+        if kind == region.primitive.kind:
+            continue
+        other = _refitted(state, kind, region.rows)
+        if other is None or own is None:
+            continue
+        gain = 0.5 * len(region.rows) * (own.rms**2 - other.rms**2) / (state.tolerance / 3.0) ** 2
+        if gain < SIGNIFICANT:
+            continue
+        grown = _grow_kind(state, region.rows, kind)
+        if grown is not None and grown.evidence > max(region.evidence, best.evidence if best else 0.0):
+            best = grown
+    return best
+
+
+def _refitted(state: _Pass, kind: str, rows: np.ndarray) -> kinds.Fitted | None:
+    return kinds.fit(kind, state.points, state.surface.normal, rows, sample=kinds.SIZE_CLASSES[0])
+
+
+def _evidence(kind: str, distance: np.ndarray, limit: float) -> float:
+    """What the points at these distances say for a primitive; one at the limit, three standard deviations, says nothing."""
+    return HANDICAP[kind] * float(np.sum(4.5 * (1.0 - np.square(distance / limit))))
 
 
 def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
@@ -157,10 +194,12 @@ def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
 
 def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:
     points, surface = state.points, state.surface
-    least = MIN_EXCESS + MODULES[kind].NUM_FREEDOM
-    rows, primitive = patch, None
+    # A region narrower than the band it is found in could be a speck of noise.
+    wide = np.pi * (state.tolerance / surface.spacing) ** 2
+    least = max(MIN_EXCESS + MODULES[kind].NUM_FREEDOM, int(wide))
+    rows, primitive, evidence = patch, None, 0.0
     for _ in range(GROWTH_ROUNDS):
-        fitted = kinds.fit(kind, points, surface.normal, rows, sample=kinds.SIZE_CLASSES[0])
+        fitted = _refitted(state, kind, rows)
         if fitted is None or (primitive is None and fitted.rms > state.tolerance):
             break
         distance, cosine = state.cloud.agreement(fitted.primitive)
@@ -174,9 +213,10 @@ def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:
             break
         done = np.array_equal(grown, rows)
         rows, primitive = grown, fitted.primitive
+        evidence = _evidence(kind, distance[grown], state.tolerance)
         if done:
             break
-    return None if primitive is None else Region(rows, primitive)
+    return None if primitive is None else Region(rows, primitive, evidence)
 
 
 def _connected(state: _Pass, agrees: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -185,8 +225,9 @@ def _connected(state: _Pass, agrees: np.ndarray, rows: np.ndarray) -> np.ndarray
     number = np.full(len(agrees), -1)
     number[members] = np.arange(len(members))
     core = state.surface.core
-    inside = agrees[state.start] & agrees[state.end] & (core[state.start] | core[state.end])
-    start, end = number[state.start[inside]], number[state.end[inside]]
+    links = state.links[members]
+    inside = agrees[links] & (core[members][:, None] | core[links])
+    start, end = np.nonzero(inside)[0], number[links[inside]]
     matrix = coo_matrix((np.ones(len(start), dtype=np.int8), (start, end)), shape=(len(members), len(members)))
     _, component = connected_components(matrix, directed=False)
     seeds = number[rows]
@@ -197,12 +238,22 @@ def _connected(state: _Pass, agrees: np.ndarray, rows: np.ndarray) -> np.ndarray
 
 
 def _claim(state: _Pass, region: Region) -> np.ndarray:
-    """Points off the core that the region explains and reaches within CLAIM_RINGS links."""
+    """Points beside the region that it explains and reaches within some links, whatever their normals say.
+
+    On a clean cloud only those off the core: there a core point of another normal is on another surface.
+    """
     distance, _ = state.cloud.agreement(region.primitive)
-    fits = (distance <= state.tolerance) & ~state.surface.core & ~state.taken
+    fits = (distance <= state.tolerance) & ~state.taken
+    rings = CLAIM_RINGS
+    if state.surface.noise < QUIET * state.surface.spacing:
+        fits &= ~state.surface.core
+    else:
+        # As far as the neighbourhood of a normal reaches.
+        rings += int(np.sqrt(state.surface.index.shape[1] / np.pi))
     reached = np.zeros(len(fits), dtype=bool)
     reached[region.rows] = True
-    for _ in range(CLAIM_RINGS):
-        linked = np.concatenate([state.end[reached[state.start]], state.start[reached[state.end]]])
-        reached[linked[fits[linked]]] = True
+    for _ in range(rings):
+        open_rows = np.flatnonzero(fits & ~reached)
+        beside = reached[state.links[open_rows]].any(axis=1)
+        reached[open_rows[beside]] = True
     return np.flatnonzero(reached & fits)

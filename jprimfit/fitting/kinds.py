@@ -82,6 +82,15 @@ def normals(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.
     return np.asarray(_normal(as_float32(primitive), padded))[: len(points)].astype(np.float64)
 
 
+def distances(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Unsigned distance of each point, to about 1e-7 of the size of the cloud of points itself."""
+    center = points.mean(axis=0)
+    size = float(np.abs(points - center).max()) or 1.0
+    local = (points - center) / size
+    cloud = Cloud(local, np.zeros_like(local))
+    return size * cloud.agreement(move(primitive, -center / size, 1.0 / size))[0].astype(np.float64)
+
+
 def move(primitive: Primitive, shift: Float[np.ndarray, "3"], scale: float) -> Primitive:
     """The primitive under x -> scale·x + shift, in float64 on the host."""
     fields = [np.asarray(field, np.float64) for field in primitive]

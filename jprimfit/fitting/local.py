@@ -34,11 +34,16 @@ class LocalSurface(NamedTuple):
 
 
 def describe(
-    points: Float[np.ndarray, "n 3"], *, noise: float | None = None, spacing: float | None = None
+    points: Float[np.ndarray, "n 3"],
+    *,
+    normals: Float[np.ndarray, "n 3"] | None = None,
+    noise: float | None = None,
+    spacing: float | None = None,
 ) -> LocalSurface:
     """Local quadrics, noise and normals of a cloud of n >= 4 points.
 
-    noise, spacing: those of the cloud that the points are the rest of, where they are known better.
+    normals: measured ones, taken instead of estimates. noise, spacing: those of the cloud that the points are the rest
+    of, where they are known better.
     """
     neighbors = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points)))
     distance = np.sqrt(neighbors.sq_distance)
@@ -55,6 +60,7 @@ def describe(
         normal = host.pca_normals(points, k=k, neighbors=wide).normal
         index = np.asarray(wide.index)
     core = residual <= max(2.0 * noise, 0.03 * spacing)
+    normal = normal if normals is None else normals
     return LocalSurface(index, normal, residual, core, spacing, noise)
 
 

@@ -1,0 +1,63 @@
+"""From surfaces proposed on a sample to the answer at full resolution: every point assigned, every surface refitted.
+
+Assign each point to its surface, refit each surface to its points, and again; then split the surfaces into connected
+faces. Assignment and parameters come from the raw points, whatever was thinned or smoothed for the proposal.
+Host code around jitted fits; lengths in the normalised frame. n points, f faces.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float64, Int32
+
+from jprimfit.fitting import assignment, growing, kinds, local
+from jprimfit.fitting.merging import Surface
+from jprimfit.types import Primitive
+
+ROUNDS = 2  # of assignment and refit
+MIN_CORE = 12  # smooth points from which a surface is refitted without those beside edges
+
+
+class Segmentation(NamedTuple):
+    """The faces of a cloud, their primitives, and the noise they were fitted under."""
+
+    labels: Int32[np.ndarray, " n"]  # face of each point, -1 = none
+    primitives: tuple[Primitive, ...]  # one per face; faces of one surface hold the same one
+    surface_of: Int32[np.ndarray, " f"]  # surface of each face
+    normals: Float64[np.ndarray, "n 3"]  # unit, of either sign
+    distances: Float64[np.ndarray, " n"]  # >= 0, to the primitive of the label; NaN where it is -1
+    noise: float  # standard deviation along the normal, length
+
+
+def refine(
+    points: Float64[np.ndarray, "n 3"],
+    surfaces: list[Surface],
+    labels: Int32[np.ndarray, " n"],
+    normals: Float64[np.ndarray, "n 3"] | None = None,
+) -> Segmentation:
+    """Faces and primitives of a cloud from surfaces and a first guess of each point's surface (-1 = none)."""
+    described = local.describe(points, normals=normals)
+    tolerance = growing.tolerance(described)
+    for _ in range(ROUNDS):
+        labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
+        surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
+    faces, surface_of = assignment.faces(described, labels)
+    primitives = tuple(surfaces[number].primitive for number in surface_of)
+    distances = np.full(len(points), np.nan)
+    for number, primitive in enumerate(primitives):
+        rows = np.flatnonzero(faces == number)
+        distances[rows] = kinds.distances(primitive, points[rows])
+    # Surfaces that lost all their faces leave no gap in the numbers.
+    surface_of = np.unique(surface_of, return_inverse=True)[1].astype(np.int32)
+    return Segmentation(faces, primitives, surface_of, described.normal, distances, described.noise)
+
+
+def _refit(points, described: local.LocalSurface, labels, number: int, before: Surface) -> Surface:
+    """The surface through the points it has now; those beside edges, where labels are doubtful, do not vote."""
+    rows = np.flatnonzero((labels == number) & described.core)
+    if len(rows) < MIN_CORE:
+        rows = np.flatnonzero(labels == number)
+    if len(rows) < MIN_CORE // 2:
+        return before
+    fitted = kinds.fit(before.primitive.kind, points, described.normal, rows, start=before.primitive)
+    return Surface(rows, fitted.primitive if fitted else before.primitive)
