@@ -63,11 +63,10 @@ class Scene:
         finite = self.points[np.all(np.isfinite(self.points), axis=1)]
         return float(np.max(finite.max(axis=0) - finite.min(axis=0))) if len(finite) else 0.0
 
-    def table(self) -> str:
-        """The primitives as text, one line each; lengths in the unit of the input, angles in degrees."""
-        return primitives_table(
-            self.primitives, self.counts(), self.rms_distances(), self.surface_of, extent=self.extent()
-        )
+    def table(self, *, max_rows: int | None = None) -> str:
+        """The primitives as text, the largest if a number is given; lengths in the input's unit, angles in degrees."""
+        measured = (self.counts(), self.rms_distances(), self.surface_of)
+        return primitives_table(self.primitives, *measured, extent=self.extent(), max_rows=max_rows)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `path` (scene.json) and the .npz beside it, each whole; a stop between the two shows on loading."""

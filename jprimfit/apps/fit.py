@@ -30,6 +30,10 @@ files in DIR:
 """
 
 
+# A scan of a room can hold hundreds; scene.json lists all of them.
+MAX_ROWS = 40
+
+
 class Outcome(NamedTuple):
     """One scan of a batch: the scene, or the sentence that says why there is none."""
 
@@ -119,9 +123,11 @@ def answer_text(outcome: Outcome) -> str:
 
     scene = outcome.scene
     assert scene is not None
+    if not scene.primitives:
+        return f"no primitives found in {len(scene.points):,} points\nwrote {outcome.folder} in {outcome.seconds:.1f} s"
     explained = np.mean(scene.labels >= 0)
     lines = [
-        scene.table(),
+        scene.table(max_rows=MAX_ROWS),
         "",
         f"{_kinds_text(scene)}, on which {100 * explained:.1f} % of {len(scene.points):,} points lie",
     ]

@@ -8,7 +8,7 @@ import contextlib
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jprimfit.scene import Scene
 
 NAMES = ("segments.ply", "surfaces.mtl", "surfaces.obj", "surfaces.step", "report.png", "scene.npz", "scene.json")
+MAX_NAMES = 5
 
 
 def write_outputs(scene: "Scene", folder: Path, *, title: str = "") -> list[str]:
@@ -43,10 +44,16 @@ def write_outputs(scene: "Scene", folder: Path, *, title: str = "") -> list[str]
         )
         report.write_report(place / "report.png", scene.points, scene.labels, kinds, patches, title=title)
         left_out = step.write_step(place / "surfaces.step", scene.primitives, patches) if step.available() else []
-    notes = [
-        f"surfaces.obj lacks {name}: too few points to trim it to" for i, name in enumerate(names) if i not in shown
-    ]
-    return notes + [f"surfaces.step lacks {names[i]}: no valid face came of it" for i in left_out if i in shown]
+    lost = {
+        "surfaces.obj": ("too few points to trim it to", [i for i in range(len(names)) if i not in shown]),
+        "surfaces.step": ("no valid face came of it", [i for i in left_out if i in shown]),
+    }
+    return [_note(file, why, [names[i] for i in which]) for file, (why, which) in lost.items() if which]
+
+
+def _note(file: str, why: str, names: Sequence[str]) -> str:
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return f"{file} lacks {', '.join(names[:MAX_NAMES])}{more} ({why})"
 
 
 def check_target(folder: Path) -> None:

@@ -62,16 +62,21 @@ def primitives_table(
     surface_of: Int[np.ndarray, "p"],
     *,
     extent: float,
+    max_rows: int | None = None,
 ) -> str:
-    """One line per primitive; the column 'surface' only where two primitives lie on one surface."""
+    """One line per primitive, at most for the `max_rows` largest; a column 'surface' where some share one."""
     length = length_formatter(extent)
     shared = len(set(surface_of.tolist())) < len(primitives)
     header = ["#", "kind", "points", "size", "axis or normal", "position", "rms"]
     rows = []
-    for i, primitive in enumerate(primitives):
+    largest = np.sort(np.argsort(-counts, kind="stable")[:max_rows])
+    for i, primitive in ((i, primitives[i]) for i in largest.tolist()):
         measured = length(rms_distances[i]) if np.isfinite(rms_distances[i]) else "-"
         row = [str(i), primitive.kind, f"{counts[i]:,}", *describe(primitive, length), measured]
         rows.append([*row[:2], str(surface_of[i]), *row[2:]] if shared else row)
     if shared:
         header.insert(2, "surface")
-    return text_table(header, rows) if rows else "no primitives found"
+    if not rows:
+        return "no primitives found"
+    left_out = len(primitives) - len(rows)
+    return text_table(header, rows) + (f"\nand {left_out} smaller ones" if left_out else "")

@@ -9,8 +9,20 @@ from jprimfit.types import Plane, Sphere
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Replaces pipeline.fit by one that knows a plane and a sphere, and the picture and STEP by small files."""
+def light(monkeypatch):
+    """Replaces the picture by a few bytes and leaves STEP out: seconds that tests of other things need not spend."""
+
+    def report(path, points, labels, kinds, patches, *, title=None):
+        assert len(kinds) == len(patches) and len(points) == len(labels)
+        path.write_bytes(b"PNG")
+
+    monkeypatch.setattr("jprimfit.io.report.write_report", report)
+    monkeypatch.setattr("jprimfit.cad.step.available", lambda: False)
+
+
+@pytest.fixture
+def quick(monkeypatch, light):
+    """Replaces pipeline.fit by one that knows a plane and a sphere; gives the list of its calls."""
     calls = []
 
     def fit(points, normals=None, **settings):
@@ -31,11 +43,5 @@ def quick(monkeypatch):
             noise=0.25,
         )
 
-    def report(path, points, labels, kinds, patches, *, title=None):
-        assert len(kinds) == len(patches) and len(points) == len(labels)
-        path.write_bytes(b"PNG")
-
     monkeypatch.setattr("jprimfit.pipeline.fit", fit)
-    monkeypatch.setattr("jprimfit.io.report.write_report", report)
-    monkeypatch.setattr("jprimfit.cad.step.available", lambda: False)
     return calls

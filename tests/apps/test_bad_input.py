@@ -99,14 +99,14 @@ def _check_answer(folder, points, *, scale=1.0, offset=0.0):
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (1.0, 1e6), (1e-6, 0.0), (1e3, -2e6)])
-def test_unit_and_position_do_not_matter(tmp_path, scale, offset):
+def test_unit_and_position_do_not_matter(light, tmp_path, scale, offset):
     points = PART * scale + offset
     np.save(tmp_path / "part.npy", points)
     assert main(["fit", str(tmp_path / "part.npy"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     _check_answer(tmp_path / "out", points, scale=scale, offset=offset)
 
 
-def test_rows_that_are_not_finite_have_no_label(tmp_path):
+def test_rows_that_are_not_finite_have_no_label(light, tmp_path):
     points = PART.copy()
     points[::97] = np.nan
     points[5], points[1500, 1] = np.inf, -np.inf
@@ -116,7 +116,7 @@ def test_rows_that_are_not_finite_have_no_label(tmp_path):
 
 
 @pytest.mark.parametrize("num_points", [4, 12])
-def test_a_dozen_points_give_a_scene_or_a_sentence(tmp_path, capsys, num_points):
+def test_a_dozen_points_give_a_scene_or_a_sentence(light, tmp_path, capsys, num_points):
     text.write(tmp_path / "few.xyz", np.random.default_rng(1).normal(size=(num_points, 3)))
     if main(["fit", str(tmp_path / "few.xyz"), "--out", str(tmp_path / "out"), "--quiet"]) == 0:
         scene = Scene.load(tmp_path / "out" / "scene.json")

@@ -37,7 +37,7 @@ def test_a_scene_gives_every_file(tmp_path):
 def test_colors_and_kinds_agree_between_the_files(quick, tmp_path):
     scene = _square(num_lost=1)
     notes = write_outputs(scene, tmp_path / "out")
-    assert notes == ["surfaces.obj lacks plane_1: too few points to trim it to"]
+    assert notes == ["surfaces.obj lacks plane_1 (too few points to trim it to)"]
     data = (tmp_path / "out" / "segments.ply").read_bytes().split(b"end_header\n")[1]
     row = np.frombuffer(data, [("xyz", "<f8", 3), ("n", "<f4", 3), ("rgb", "u1", 3), ("label", "<i4"), ("kind", "i1")])
     np.testing.assert_array_equal(row["label"], scene.labels)

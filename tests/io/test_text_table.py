@@ -39,4 +39,6 @@ def test_the_column_surface_appears_only_where_it_says_something():
     alone = primitives_table(planes, counts, rms, np.array([0, 1], np.int32), extent=1.0)
     shared = primitives_table(planes, counts, rms, np.array([0, 0], np.int32), extent=1.0)
     assert "surface" not in alone and "surface" in shared and alone.splitlines()[-1].endswith("-")
+    cut = primitives_table(planes, counts[::-1].copy(), rms, np.array([0, 1], np.int32), extent=1.0, max_rows=1)
+    assert cut.splitlines()[2].startswith("1") and cut.splitlines()[3:] == ["and 1 smaller ones"]
     assert primitives_table((), counts[:0], rms[:0], counts[:0], extent=1.0) == "no primitives found"
