@@ -98,10 +98,16 @@ def test_modules_offer_the_same_names(kind):
 def test_dispatch_asks_the_module(kind):
     primitive, points, _ = posed(jax.random.key(0), kind, "float32")
     pose = (jnp.eye(3), jnp.ones(3), 2.0)
-    for name in ("signed_distance", "distance", "normal", "project"):
-        ours = jax.jit(getattr(table, name))(primitive, points)
-        np.testing.assert_array_equal(ours, compiled(kind, name)(primitive, points))
-    assert_close(table.transform(primitive, *pose), table.of(kind).transform(primitive, *pose), 0)
+    names = ("signed_distance", "distance", "normal", "project")
+
+    @jax.jit
+    def dispatched(primitive):
+        return [getattr(table, name)(primitive, points) for name in names], table.transform(primitive, *pose)
+
+    answers, moved = dispatched(primitive)
+    for name, answer in zip(names, answers, strict=True):
+        np.testing.assert_allclose(answer, compiled(kind, name)(primitive, points), atol=1e-6)
+    assert_close(moved, compiled(kind, "transform")(primitive, *pose), 1e-6)
 
 
 @each_dtype
@@ -110,12 +116,13 @@ def test_fit_recovers_the_parameters(x64, tolerance, kind, dtype):
     module = table.of(kind)
 
     @jax.jit
+    @jax.vmap
     def errors(key):
         primitive, points, normals = posed(key, kind, dtype)
         fit = module.fit(points, jnp.ones(NUM_POINTS, dtype), normals)
         return fit, module.discrepancy(primitive, fit.primitive), module.signed_distance(fit.primitive, points)
 
-    fit, discrepancy, distances = jax.vmap(errors)(jax.random.split(jax.random.key(1), 8))
+    fit, discrepancy, distances = errors(jax.random.split(jax.random.key(1), 8))
     assert np.all(fit.ok)
     assert_close(discrepancy, jax.tree.map(jnp.zeros_like, discrepancy), tolerance[dtype])
     np.testing.assert_allclose(distances, 0, atol=tolerance[dtype])

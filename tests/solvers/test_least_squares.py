@@ -85,8 +85,10 @@ def test_batch_jit_and_plain_agree(x64):
     starts = jnp.array([[0.0, 0.0, 0.0], [1.0, -1.0, 5.0]])
     problem = tuple(map(jnp.asarray, (ROWS, VALUES, WEIGHTS)))
     batch = jax.jit(jax.vmap(solve_linear, in_axes=(None, None, None, 0)))(*problem, starts)
+    single = jax.jit(solve_linear)(*problem, starts[1])
     plain = solve_linear(*problem, starts[1])
     np.testing.assert_allclose(batch.state, np.broadcast_to(plain.state, (2, 3)), atol=1e-9)
+    np.testing.assert_allclose(single.state, plain.state, atol=1e-12)
     np.testing.assert_array_equal(batch.ok, [True, True])
 
 
@@ -129,7 +131,7 @@ def test_cost_never_rises_and_too_few_steps_are_reported(x64):
             num_steps=num_steps,
         )
 
-    solutions = [jax.jit(solve, static_argnums=0)(steps) for steps in (0, 1, 3, 30)]
+    solutions = [jax.jit(solve, static_argnums=0)(steps) for steps in (0, 3, 30)]
     costs = [float(solution.cost) for solution in solutions]
     assert costs == sorted(costs, reverse=True) and costs[-1] < 1e-20
-    assert [bool(solution.ok) for solution in solutions] == [False, False, False, True]
+    assert [bool(solution.ok) for solution in solutions] == [False, False, True]
