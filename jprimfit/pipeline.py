@@ -94,8 +94,8 @@ def fit(
     )
 
 
-def _spread(values: np.ndarray, rows: np.ndarray, num_rows: int, fill: float) -> np.ndarray:
-    """values at the given rows of an array of num_rows, fill elsewhere."""
+def _spread(values: np.ndarray, rows: np.ndarray, num_rows: int, fill: int | float) -> np.ndarray:
+    """Values at the given rows of an array of num_rows, fill elsewhere."""
     spread = np.full((num_rows, *values.shape[1:]), fill, dtype=values.dtype)
     spread[rows] = values
     return spread
