@@ -68,7 +68,14 @@ def truth_text(truth: Sequence[Any], scene: Any) -> str:
         rows.append(
             ["", f"#{label}", *describe(scene.primitives[label], length), _apart(primitive, difference, length)]
         )
-    extra = [name for label, name in enumerate(scene.names()) if label not in {j for j, _ in pairs.values()}]
+    surface_of = scene.surface_of.tolist()
+    partners = {surface_of[label]: label for label, _ in pairs.values()}
+    used = {label for label, _ in pairs.values()}
+    extra = [
+        name + (f" (on the surface of #{partners[surface_of[i]]})" if surface_of[i] in partners else "")
+        for i, name in enumerate(scene.names())
+        if i not in used
+    ]
     table = text_table(["kind", "", "size", "axis or normal", "position", "apart"], rows)
     more = f" and {len(extra) - MAX_NAMES} more" if len(extra) > MAX_NAMES else ""
     return table + (f"\n\nfound besides: {', '.join(extra[:MAX_NAMES])}{more}" if extra else "")

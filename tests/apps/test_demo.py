@@ -54,12 +54,14 @@ def test_truth_and_answer_stand_one_above_the_other():
     points = np.array([[0.0, 0, 0], [100, 50, 20]])
     none = np.zeros(2, np.int32)
     found = (Cone(Z, CENTER, np.float64(0.51)), *(Sphere(CENTER + i, np.float64(1)) for i in range(15)))
-    scene = Scene(points, none, found, np.arange(16, dtype=np.int32), points, np.zeros(2))
+    scene = Scene(points, none, found, np.array([0, 0, *range(2, 16)], np.int32), points, np.zeros(2))
     lines = demo.truth_text([Cone(Z, CENTER, np.float64(0.5)), Plane(Z, np.float64(1))], scene).splitlines()
     assert lines[2].startswith("cone") and "half-angle 28.648 deg" in lines[2]
     assert "#0" in lines[3] and "half-angle 0.573 deg" in lines[3]
     assert "not found" in lines[5]
-    assert lines[-1].startswith("found besides: sphere_1, sphere_2") and lines[-1].endswith("and 3 more")
+    assert lines[-1].startswith("found besides: sphere_1 (on the surface of #0), sphere_2, sphere_3") and lines[
+        -1
+    ].endswith("and 3 more")
 
 
 def test_the_command_writes_the_files_and_prints_the_comparison(quick, tmp_path, capsys):
