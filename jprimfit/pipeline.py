@@ -71,7 +71,7 @@ def fit(
 
     say("refine", 0, 1)
     labels = propagate(proposal.labels, thinned, cloud)
-    found = refinement.refine(cloud, proposal.surfaces, labels, given)
+    found = refinement.refine(cloud, proposal.surfaces, labels, given, noise=proposal.noise)
 
     rows, center, scale = usable.rows[kept], ready.frame.center, ready.frame.scale
     num_points = len(np.asarray(points))

@@ -1,7 +1,10 @@
 """Surfaces of a cloud by geometry alone: the answer that a network has to beat, and `fit --no-network`.
 
-Describe the neighbourhoods, grow regions, unite those on one surface. Host code around jitted fits; lengths in the
-normalised frame. What becomes of the surfaces at full resolution is the business of fitting/refinement.
+Describe the neighbourhoods, grow regions, unite those on one surface. The noise that neighbourhoods show is that of
+single points; a stereo or depth camera also errs over wide areas, which breaks a table into terraces a few noises
+apart. Such echoes of a large surface tell that the noise was underestimated: it is doubled and the cloud grown again.
+Host code around jitted fits; lengths in the normalised frame. What becomes of the surfaces at full resolution is the
+business of fitting/refinement.
 """
 
 from collections.abc import Callable
@@ -12,12 +15,16 @@ from jaxtyping import Float, Int32
 
 from jprimfit.fitting import growing, local, merging
 
+MAX_ECHOES = 0.1  # share of the points in echoes that is put down to shape
+NUM_DOUBLINGS = 4  # of the noise, at most
+
 
 class Proposal(NamedTuple):
     """Surfaces, and which of them each point of the cloud they were found in lies on."""
 
     surfaces: list[merging.Surface]  # by falling number of points
     labels: Int32[np.ndarray, " n"]  # index into surfaces, -1 = none
+    noise: float  # standard deviation along the normal that the surfaces hold under
 
 
 def propose(
@@ -32,10 +39,15 @@ def propose(
     explained, points in all).
     """
     described = local.describe(points, normals=normals)
-    regions = growing.grow_regions(points, described, progress=progress)
-    tolerance = growing.tolerance(described)
-    surfaces = merging.merge_regions(points, described.normal, regions, tolerance=tolerance)
+    for doubling in range(NUM_DOUBLINGS + 1):
+        regions = growing.grow_regions(points, described, progress=progress)
+        tolerance = growing.tolerance(described)
+        surfaces = merging.merge_regions(points, described.normal, regions, tolerance=tolerance)
+        quiet = described.noise < growing.QUIET * described.spacing
+        if quiet or doubling == NUM_DOUBLINGS or merging.echoes(points, surfaces, tolerance=tolerance) <= MAX_ECHOES:
+            break
+        described = described._replace(noise=2.0 * described.noise)
     labels = np.full(len(points), -1, dtype=np.int32)
     for number, surface in enumerate(surfaces):
         labels[surface.rows] = number
-    return Proposal(surfaces, labels)
+    return Proposal(surfaces, labels, described.noise)

@@ -31,6 +31,7 @@ GROWTH_ROUNDS = 16
 CLAIM_RINGS = 3  # links that a claim reaches beyond the core of a region
 HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.92}  # factor on the evidence
 MAX_PASSES = 4
+SMALL_REGION = 80  # points; a larger region of a clean cloud is no coincidence
 SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to be tried
 QUIET = 0.05  # noise per spacing below which a patch of a few dozen points shows its kind
 
@@ -70,6 +71,7 @@ def grow_regions(
     progress is called with (points explained or given up, points in all).
     """
     regions: list[Region] = []
+    whole = surface
     rows = np.arange(len(points))
     claimed = np.zeros(len(points), dtype=bool)
     for _ in range(MAX_PASSES):
@@ -87,7 +89,27 @@ def grow_regions(
         if len(rows) < MIN_EXCESS + 3:
             break
         surface = describe(points[rows], noise=surface.noise, spacing=surface.spacing)
-    return regions
+    return _closed(regions, whole) if whole.noise < QUIET * whole.spacing else regions
+
+
+def _closed(regions: list[Region], surface: LocalSurface) -> list[Region]:
+    """The regions without small ones amid smooth surface that none of the four kinds explains, such as a torus.
+
+    A face ends at edges or at other faces. A small patch that happens to fit a torus or free form ends nowhere: most
+    links out of it lead to smooth points of no region, or of another such patch.
+    """
+    owner = np.full(len(surface.core), -1)
+    for number, region in enumerate(regions):
+        owner[region.rows] = number
+    small = np.array([len(region.rows) < SMALL_REGION for region in regions] + [True])
+    kept = []
+    for number, region in enumerate(regions):
+        beyond = surface.index[region.rows, 1 : NUM_LINKS + 1].ravel()
+        beyond = beyond[owner[beyond] != number]
+        is_open = surface.core[beyond] & small[owner[beyond]]
+        if not small[number] or not len(beyond) or is_open.mean() < 0.5:
+            kept.append(region)
+    return kept
 
 
 def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"]) -> _Pass:
@@ -172,11 +194,12 @@ def _regrow(state: _Pass, region: Region) -> Region | None:
 
 
 def _refitted(state: _Pass, kind: str, rows: np.ndarray) -> kinds.Fitted | None:
-    return kinds.fit(kind, state.points, state.surface.normal, rows, sample=kinds.SIZE_CLASSES[0])
+    sample = kinds.SIZE_CLASSES[0]
+    return kinds.fit(kind, state.points, state.surface.normal, rows, sample=sample, determined=False)
 
 
 def _evidence(kind: str, distance: np.ndarray, limit: float) -> float:
-    """What the points at these distances say for a primitive; one at the limit, three standard deviations, says nothing."""
+    """What points at these distances say for a primitive; one at the limit, three standard deviations, says nothing."""
     return HANDICAP[kind] * float(np.sum(4.5 * (1.0 - np.square(distance / limit))))
 
 

@@ -51,11 +51,13 @@ def fit(
     *,
     sample: int = SIZE_CLASSES[-1],
     start: Primitive | None = None,
+    determined: bool = True,
 ) -> Fitted | None:
     """The least-squares primitive of one kind through the rows of a cloud; None where they do not determine it.
 
     sample: at most so many rows, taken at even steps, are looked at. start: polish this one (float64, of this kind)
-    instead of the closed-form estimate, which hangs on the normals for cylinders and cones.
+    instead of the closed-form estimate, which hangs on the normals for cylinders and cones. determined=False: give
+    any finite primitive, as a guess that more points may yet confirm.
     """
     if len(rows) > sample:
         rows = rows[np.linspace(0, len(rows) - 1, sample).astype(int)]
@@ -70,7 +72,8 @@ def fit(
     weights = np.pad(np.ones(len(rows), np.float32), (0, padding))
     arrays = pad((centred / size).astype(np.float32)), weights, pad(normals[rows].astype(np.float32))
     if start is None:
-        fitted, rms, ok = _fit(*arrays, kind=kind)
+        fitted, rms, finite, ok = _fit(*arrays, kind=kind)
+        ok = finite & ok if determined else finite
     else:
         fitted, rms, ok = _polish(as_float32(move(start, -center / size, 1.0 / size)), *arrays)
     return Fitted(move(fitted, center, size), float(rms) * size) if bool(ok) else None
@@ -126,7 +129,7 @@ def _agreement(primitive: Any, points: Float[Array, "n 3"], normals: Float[Array
 def _fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"], *, kind: str):
     first = MODULES[kind].fit(points, weights, normals)
     polished, rms, finite = _descend(first.primitive, points, weights)
-    return polished, rms, first.ok & finite
+    return polished, rms, finite, first.ok
 
 
 @jax.jit

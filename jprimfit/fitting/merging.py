@@ -13,13 +13,14 @@ from jaxtyping import Float, Int
 
 from jprimfit.fitting import kinds
 from jprimfit.fitting.growing import Region
-from jprimfit.primitives import table
 from jprimfit.types import Primitive
 
 SAMPLE = 256  # points of a region that another region's primitive is held against
 EXPLAINED = 0.85  # share of them that it must explain
 MIN_COSINE = np.cos(np.radians(20.0))
+ECHO_COSINE = np.cos(np.radians(15.0))
 JOINT_GROWTH = 1.15  # how much worse a joint fit may be than the separate ones
+JOINT_NOISE = 0.45  # or how large its rms, in tolerances: 1.35 noises
 
 
 class Surface(NamedTuple):
@@ -44,9 +45,27 @@ def merge_regions(
     return sorted(surfaces, key=lambda surface: -len(surface.rows))
 
 
+def echoes(points: Float[np.ndarray, "n 3"], surfaces: list[Surface], *, tolerance: float) -> float:
+    """Share of the points on surfaces that run along another one, at least twice as large, within two tolerances.
+
+    surfaces: by falling number of points, as merge_regions gives them.
+    """
+    num_echoed = 0
+    for number, surface in enumerate(surfaces):
+        sample = _sample(points, surface.primitive, surface.rows)
+        for larger in surfaces[:number]:
+            if len(larger.rows) < 2 * len(surface.rows):
+                break
+            distance, cosine = sample.agreement(larger.primitive)
+            if np.median(cosine) > ECHO_COSINE and np.median(distance) < 2.0 * tolerance:
+                num_echoed += len(surface.rows)
+                break
+    return num_echoed / len(points)
+
+
 def _home(points, normals, surfaces, region, tolerance) -> tuple[int, Primitive] | None:
     """The surface that the region lies on and its primitive with the region added; None where there is none."""
-    sample = _sample(points, normals, region.primitive, region.rows)
+    sample = _sample(points, region.primitive, region.rows)
     errors = [_misfit(sample, surface.primitive, tolerance) for surface in surfaces]
     for index in np.argsort(errors, kind="stable"):
         surface = surfaces[index]
@@ -58,7 +77,7 @@ def _home(points, normals, surfaces, region, tolerance) -> tuple[int, Primitive]
         joint = _joint(points, normals, surface, region)
         if joint is None:
             continue
-        other = _sample(points, normals, surface.primitive, surface.rows)
+        other = _sample(points, surface.primitive, surface.rows)
         if all(_is_as_good(*pair, joint, tolerance) for pair in ((sample, region), (other, surface))):
             return int(index), joint
     return None
@@ -70,7 +89,7 @@ def _joint(points, normals, surface, region) -> Primitive | None:
     return None if fitted is None else fitted.primitive
 
 
-def _sample(points, normals, primitive, rows) -> kinds.Cloud:
+def _sample(points, primitive, rows) -> kinds.Cloud:
     """Some of the rows with the normals of the primitive itself: those of the cloud mean little beside an edge."""
     if len(rows) > SAMPLE:
         rows = rows[np.linspace(0, len(rows) - 1, SAMPLE).astype(int)]
@@ -91,4 +110,4 @@ def _misfit(sample: kinds.Cloud, primitive: Primitive, tolerance: float) -> floa
 def _is_as_good(sample: kinds.Cloud, own: Region | Surface, joint: Primitive, tolerance: float) -> bool:
     before = np.sqrt(np.square(sample.agreement(own.primitive)[0]).mean())
     after = np.sqrt(np.square(sample.agreement(joint)[0]).mean())
-    return bool(after <= max(JOINT_GROWTH * before, 0.3 * tolerance))
+    return bool(after <= max(JOINT_GROWTH * before, JOINT_NOISE * tolerance))

@@ -8,7 +8,7 @@ Host code around jitted fits; lengths in the normalised frame. n points, f faces
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64, Int32
+from jaxtyping import Float64, Int32
 
 from jprimfit.fitting import assignment, growing, kinds, local
 from jprimfit.fitting.merging import Surface
@@ -34,9 +34,14 @@ def refine(
     surfaces: list[Surface],
     labels: Int32[np.ndarray, " n"],
     normals: Float64[np.ndarray, "n 3"] | None = None,
+    *,
+    noise: float | None = None,
 ) -> Segmentation:
-    """Faces and primitives of a cloud from surfaces and a first guess of each point's surface (-1 = none)."""
-    described = local.describe(points, normals=normals)
+    """Faces and primitives of a cloud from surfaces and a first guess of each point's surface (-1 = none).
+
+    normals: unit, where they were measured. noise: that the surfaces were found under; else it is estimated.
+    """
+    described = local.describe(points, normals=normals, noise=noise)
     tolerance = growing.tolerance(described)
     for _ in range(ROUNDS):
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
