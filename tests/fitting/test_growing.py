@@ -1,0 +1,90 @@
+"""Regions grown from seeds: one per face, of the right kind, and of nothing where there is no surface."""
+
+import numpy as np
+import pytest
+
+from jprimfit.fitting.growing import grow_regions, tolerance
+from jprimfit.fitting.local import describe
+
+
+@pytest.fixture(scope="module")
+def grown(parts):
+    """Regions of a clean part, the part, what is known of its neighbourhoods, and the calls of progress; grown once."""
+    kept = {}
+
+    def grow(name):
+        if name not in kept:
+            part, calls = getattr(parts, name)(), []
+            surface = describe(part.points)
+            regions = grow_regions(part.points, surface, progress=lambda done, total: calls.append((done, total)))
+            kept[name] = regions, part, surface, calls
+        return kept[name]
+
+    return grow
+
+
+each_part = pytest.mark.parametrize("name", ["boss", "ball_and_funnel", "fillet", "two_faces"])
+
+
+@each_part
+def test_each_face_is_one_region_of_its_kind(grown, parts, name):
+    regions, part, _, _ = grown(name)
+    majority = [int(np.bincount(part.labels[region.rows]).argmax()) for region in regions]
+    assert sorted(majority) == list(range(len(part.primitives)))
+    for region, label in zip(regions, majority, strict=True):
+        assert parts.gap(region.primitive, part.primitives[label]) < 0.01
+        inside = part.labels[region.rows] == label
+        assert inside.mean() > 0.85  # the rest lies on edges
+        assert inside.sum() > 0.95 * (part.labels == label).sum()
+
+
+@each_part
+def test_rows_ascend_and_are_explained(grown, parts, name):
+    regions, part, surface, _ = grown(name)
+    for region in regions:
+        assert (np.diff(region.rows) > 0).all()
+        assert parts.distance(region.primitive, part.points[region.rows]).max() < 1.1 * tolerance(surface)
+        assert region.evidence > 0
+
+
+@each_part
+def test_smooth_points_are_in_one_region_only(grown, name):
+    regions, part, surface, _ = grown(name)
+    times = np.bincount(np.concatenate([region.rows for region in regions]), minlength=len(part.points))
+    assert times.min() >= 1 and times[surface.core].max() == 1
+
+
+def test_progress_grows_to_the_whole(grown):
+    regions, part, _, calls = grown("boss")
+    done, total = np.array(calls).T
+    assert (np.diff(done) >= 0).all() and 0 < done[-1] <= len(part.points) and set(total) == {len(part.points)}
+
+
+def test_tolerance_follows_the_noise_and_on_clean_scans_the_spacing(parts):
+    points = parts.fillet().points
+    quiet, loud = describe(points), describe(points, noise=0.01, spacing=0.07)
+    assert tolerance(loud) == pytest.approx(0.03)
+    assert 0 < tolerance(quiet) < 0.1 * quiet.spacing
+
+
+def test_a_volume_of_points_holds_no_surface():
+    points = np.random.default_rng(0).uniform(-1, 1, (400, 3))
+    regions = grow_regions(points, describe(points))
+    assert sum(len(region.rows) for region in regions) < 0.25 * len(points)
+
+
+def test_measured_normals_decide_which_surface_a_point_is_on(parts):
+    # A flat lattice whose left half is said to face sideways: the plane through the right half ends at the middle.
+    plate = parts.rectangle((0, 0, 0), (2, 0, 0), (0, 1, 0), step=0.08, rng=np.random.default_rng(0))[0]
+    right = plate[:, 0] > 1
+    normals = np.where(right[:, None], [[0.0, 0, 1]], [[1.0, 0, 0]])
+    (whole,) = grow_regions(plate, describe(plate))
+    assert len(whole.rows) == len(plate)
+    first = grow_regions(plate, describe(plate, normals=normals))[0]
+    assert first.primitive.kind == "plane"
+    np.testing.assert_array_equal(first.rows, np.flatnonzero(right))
+
+
+def test_a_few_points_of_no_surface_give_no_region():
+    points = np.random.default_rng(1).normal(size=(7, 3))
+    assert grow_regions(points, describe(points)) == []
