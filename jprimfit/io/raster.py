@@ -9,7 +9,7 @@ vertices, f faces, h x w pixels, p of them not background.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 
 EYE_DISTANCE = 4.0  # of the eye from the middle, in radii of the scene: a long lens
@@ -93,20 +93,30 @@ def splat(view: Camera, screen: Screen, *, radius: float, cover: float = 0.0) ->
         view: the camera.
         screen: the points as it sees them.
         radius: of a disc, pixels.
-        cover: length in the points' unit; where positive, a point hides all that lies within this of its line of
-            sight and is much farther away, so that no back side is seen between the points of a front side.
+        cover: as of `visible`, so that no back side is seen between the points of a front side.
     """
     rows, columns = view.shape
-    cell = np.floor(screen.position).astype(np.int64)
-    inside = np.flatnonzero((cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows))
-    if cover > 0.0:
-        inside = inside[_in_front(view, cell[inside], screen.depth[inside], cover)]
-    pixel = cell[inside, 1] * columns + cell[inside, 0]
+    shown = np.flatnonzero(visible(view, screen, cover=cover))
+    cell = np.floor(screen.position[shown]).astype(np.int64)
     key = np.full(rows * columns, EMPTY)
-    np.minimum.at(key, pixel, _keys(view, screen.depth[inside], inside))
+    np.minimum.at(key, cell[:, 1] * columns + cell[:, 0], _keys(view, screen.depth[shown], shown))
     # The nearest of all discs over a pixel is the least key within a disc around it: a minimum filter.
     grown = _filtered(key.reshape(rows, columns), radius * 1.5, np.minimum)
     return _buffer(view, _filtered(grown, radius * 0.5, np.maximum))
+
+
+def visible(view: Camera, screen: Screen, *, cover: float) -> Bool[np.ndarray, "n"]:
+    """Which points are in the picture and not hidden.
+
+    cover: length in the points' unit; where positive, a point hides all that lies within this of its line of sight
+    and is much farther away.
+    """
+    rows, columns = view.shape
+    cell = np.floor(screen.position).astype(np.int64)
+    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    if cover > 0.0:
+        inside[inside] = _in_front(view, cell[inside], screen.depth[inside], cover)
+    return inside
 
 
 def rasterize(view: Camera, screen: Screen, faces: Int[np.ndarray, "f 3"]) -> Buffer:

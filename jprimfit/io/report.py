@@ -27,6 +27,7 @@ TOP = 118
 FACTOR = 2  # pixels per side that are averaged into one
 MAX_ROWS, COLUMNS, ROW_HEIGHT = 20, 5, 27
 MAX_BYTES = 1_000_000
+MAX_NUMBERS = 12
 MIN_DEPTH = 9  # pixels around the middle of a number that its surface must fill
 NUM_SHADED = 20_000  # points whose normals are estimated; the others take the nearest one's
 INK, FAINT, PAPER = (32, 36, 42), (112, 118, 126), (255, 255, 255)
@@ -58,8 +59,7 @@ def write_report(
     """
     points, labels = _checked(points, labels, kinds, patches)
     sample = slice(None, None, -(-len(points) // viewpoint.MAX_POINTS))
-    outward = _surface_normals(points[sample], labels[sample], patches)
-    direction = viewpoint.choose(points[sample], labels[sample], kinds, outward)
+    direction = viewpoint.choose(points[sample], labels[sample])
     shape = (PANEL[0] * FACTOR, PANEL[1] * FACTOR)
     view = raster.camera(_framed(points, patches), back=direction.back, up=direction.up, shape=shape)
     scan, segments = _point_panels(view, points, labels)
@@ -107,18 +107,6 @@ def _framed(points: np.ndarray, patches: Sequence[Any]) -> np.ndarray:
         room = 0.05 * (high - low)
         sample = sample[((sample >= low - room) & (sample <= high + room)).all(axis=1)]
     return np.concatenate([sample, *(np.asarray(patch[0]).reshape(-1, 3) for patch in patches)])
-
-
-def _surface_normals(points: np.ndarray, labels: np.ndarray, patches: Sequence[Any]) -> np.ndarray:
-    """At each point the normal of its patch's nearest vertex; zero where there is none."""
-    normals = np.zeros_like(points)
-    for i, patch in enumerate(patches):
-        mine = np.flatnonzero(labels == i)
-        if len(mine) and len(patch[0]):
-            step = -(-len(patch[0]) // 5_000)
-            nearest = KDTree(np.asarray(patch[0])[::step]).query(points[mine])[1]
-            normals[mine] = np.asarray(patch[2])[::step][nearest]
-    return normals
 
 
 def _scan_normals(points: np.ndarray) -> np.ndarray:
@@ -178,15 +166,16 @@ def _listed(counts: np.ndarray) -> list[int]:
 
 
 def _write_numbers(draw: ImageDraw.ImageDraw, shown: np.ndarray, listed: list[int], *, left: int) -> None:
-    """The number of each listed primitive on its surface, where it is seen well enough."""
-    font = _font(17)
+    """The number of each listed primitive on its surface, for the largest of those that are seen well enough."""
+    font, places = _font(17), []
     for i in listed:
         # Where a surface is widest: the pixel farthest from everything else, found at half the resolution.
         depth: Any = ndimage.distance_transform_edt(np.pad(shown[::2, ::2] == i, 1))
         y, x = np.unravel_index(int(np.argmax(depth)), depth.shape)
         if depth[y, x] >= MIN_DEPTH / 2:
-            place = (left + 2 * int(x - 1), TOP + 2 * int(y - 1))
-            draw.text(place, str(i), INK, font, anchor="mm", stroke_width=3, stroke_fill=PAPER)
+            places.append((np.count_nonzero(depth), i, (left + 2 * int(x - 1), TOP + 2 * int(y - 1))))
+    for _, i, place in sorted(places, reverse=True)[:MAX_NUMBERS]:
+        draw.text(place, str(i), INK, font, anchor="mm", stroke_width=3, stroke_fill=PAPER)
 
 
 def _write_legend(

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from jprimfit.io import palette, report
 
@@ -120,3 +120,12 @@ def test_what_does_not_fit_together_is_refused_and_nothing_is_written(tmp_path):
         with pytest.raises(ValueError, match=message):
             report.write_report(tmp_path / "a.png", *arguments)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_at_most_twelve_numbers_are_drawn_those_of_the_largest_surfaces(monkeypatch):
+    shown = np.repeat(np.arange(15)[None], 60, axis=0).repeat(20 + 2 * np.arange(15), axis=1)
+    draw, drawn = ImageDraw.Draw(Image.new("RGB", (8, 8))), []
+    monkeypatch.setattr(draw, "text", lambda place, text, *_, **__: drawn.append((int(text), place)))
+    report._write_numbers(draw, shown, list(range(15)), left=0)
+    assert sorted(number for number, _ in drawn) == list(range(3, 15))
+    assert all(shown[y - report.TOP, x] == number for number, (x, y) in drawn)
