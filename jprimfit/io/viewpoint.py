@@ -18,8 +18,8 @@ from jprimfit.io import raster
 
 AZIMUTHS = np.deg2rad(np.arange(0, 360, 30))
 ELEVATION = np.deg2rad(32.0)
-UPSIDE_DOWN = 0.78  # what a view counts in which z points down
-HANGING = 0.5  # what a view counts in which things hang from a table
+UPSIDE_DOWN = 0.9  # what a view counts in which z points down
+HANGING = 0.25  # what a view counts in which things hang from a table
 ONE_SIDED = 0.75  # share of the points that can be seen at once; a scan all around shows half of them
 MAX_POINTS = 12_000
 SHAPE = (96, 112)  # of the trial pictures
@@ -30,6 +30,9 @@ SQUARE = 0.5  # what a surface square to an axis counts, beside one that is para
 NUM_TRIED = 300  # normals that an axis is chosen from, and as many pairs of them
 FAMILIAR = 0.6  # a coordinate axis will do that scores this part of the best one
 SURE = 1.5  # how fast one side's advantage makes it the outside: at 1/3 of all that is seen
+CROWD = 0.75  # power of what is seen of a segment
+SNAP = np.deg2rad(4.0)  # from a coordinate axis is as good as along it
+STRAY = np.deg2rad(30.0)  # is too far from an axis to be its refinement: few normals say nothing
 MIN_SHARE = 0.01  # of the points; smaller segments count together
 
 
@@ -81,10 +84,10 @@ def _outsides(normals: Float[np.ndarray, "n 3"], trials: _Trials) -> Float[np.nd
 
 
 def _weighed(shown: Float[np.ndarray, "d n"], labels: Int[np.ndarray, "n"]) -> Float[np.ndarray, "d"]:
-    """The sum over segments of the root of what is shown of them: many count more than one large one."""
+    """The sum over segments of a power of what is shown of them: many count more than one large one."""
     _, segment, counts = np.unique(labels, return_inverse=True, return_counts=True)
     segment = np.where(counts[segment] < MIN_SHARE * len(labels), len(counts), segment)
-    return np.array([np.sqrt(np.bincount(segment, weights)).sum() for weights in shown])
+    return np.array([(np.bincount(segment, weights) ** CROWD).sum() for weights in shown])
 
 
 def _welcome(points: np.ndarray, up: np.ndarray, trials: _Trials) -> Float[np.ndarray, "d"]:
@@ -134,15 +137,15 @@ def _axis(
     cosine = np.abs(found @ normals.T)
     parallel, square = cosine > 1 - NEARLY**2 / 2, cosine < NEARLY
     score = parallel.sum(axis=1) + SQUARE * square.sum(axis=1)
-    num_familiar = int(usable[:3].sum())
-    good = np.flatnonzero(score[:num_familiar] >= FAMILIAR * score.max(initial=0))
-    if len(good):
-        return found[good[0]]
-    best = int(np.argmax(score))
+    good = np.flatnonzero(score[: usable[:3].sum()] >= FAMILIAR * score.max(initial=0))
+    best = int(good[0] if len(good) else np.argmax(score))
     # Refined: as parallel to the ones and as square to the others as can be, in the sense of least squares.
     ones, others = normals[parallel[best]], normals[square[best]]
     agreement = ones.T @ ones - SQUARE * others.T @ others
     if around is not None:
         agreement -= 2 * len(normals) * np.outer(around, around)
     axis = np.linalg.eigh(agreement)[1][:, -1]
+    turned = float(np.arccos(min(np.abs(axis @ found[best]), 1.0)))
+    if (len(good) and turned < SNAP) or turned > STRAY:
+        return found[best]
     return axis * (1.0 if axis[np.argmax(np.abs(axis))] > 0 else -1.0)
