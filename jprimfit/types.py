@@ -1,13 +1,15 @@
 """The values that every other file speaks of: neighbourhoods and the four primitives.
 
 All are NamedTuples of arrays, hence immutable JAX pytrees: they pass through jit, vmap and grad, and a function
-that is written for one of them works on a stack of them under vmap. The shapes below are those of ONE item.
+that is written for one of them works on a stack of them under vmap. The shapes below are those of ONE item. The
+arrays are JAX's while something is computed and NumPy's, float64, in an answer: Any stands for both, and nothing here
+loads JAX, so that a stored answer opens without it.
 Axis letters: n points, m queries, k neighbours. Lengths are in the unit of the cloud, angles in radians.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 
 class Neighbors(NamedTuple):
@@ -17,43 +19,43 @@ class Neighbors(NamedTuple):
     first neighbour of the row (0 if the row has none), so that gathering with it stays in range.
     """
 
-    index: Int[Array, "m k"]  # int32, rows of points
-    sq_distance: Float[Array, "m k"]  # squared length; the first neighbour's in padding, 0 if the row has none
-    mask: Bool[Array, "m k"]  # True = a neighbour, False = padding
-    count: Int[Array, "m"]  # int32, points that qualified before the cap k: count > k says that some were left out
+    index: Int[Any, "m k"]  # int32, rows of points
+    sq_distance: Float[Any, "m k"]  # squared length; the first neighbour's in padding, 0 if the row has none
+    mask: Bool[Any, "m k"]  # True = a neighbour, False = padding
+    count: Int[Any, "m"]  # int32, points that qualified before the cap k: count > k says that some were left out
 
 
 class Plane(NamedTuple):
     """All x with normal·x = offset; the normal is a unit vector whose largest component is positive."""
 
-    normal: Float[Array, "3"]
-    offset: Float[Array, ""]
+    normal: Float[Any, "3"]
+    offset: Float[Any, ""]
     kind = "plane"
 
 
 class Sphere(NamedTuple):
     """All x with |x - center| = radius."""
 
-    center: Float[Array, "3"]
-    radius: Float[Array, ""]
+    center: Float[Any, "3"]
+    radius: Float[Any, ""]
     kind = "sphere"
 
 
 class Cylinder(NamedTuple):
     """All x at distance radius from the line center + t·axis; axis is a unit vector with positive largest component."""
 
-    axis: Float[Array, "3"]
-    center: Float[Array, "3"]  # the point of the axis nearest the mean of the segment
-    radius: Float[Array, ""]
+    axis: Float[Any, "3"]
+    center: Float[Any, "3"]  # the point of the axis nearest the mean of the segment
+    radius: Float[Any, ""]
     kind = "cylinder"
 
 
 class Cone(NamedTuple):
     """All x with angle(x - apex, axis) = half_angle: one nappe, the axis points from the apex into it."""
 
-    axis: Float[Array, "3"]
-    apex: Float[Array, "3"]
-    half_angle: Float[Array, ""]  # in (0, pi/2)
+    axis: Float[Any, "3"]
+    apex: Float[Any, "3"]
+    half_angle: Float[Any, ""]  # in (0, pi/2)
     kind = "cone"
 
 
@@ -61,15 +63,15 @@ Primitive = Plane | Sphere | Cylinder | Cone
 
 
 class Fit(NamedTuple):
-    """A fitted primitive, and whether the points determined it; where ok is False the values are finite but mean nothing."""
+    """A fitted primitive, and whether the points determined it; where ok is False its values are finite, no more."""
 
     primitive: Primitive
-    ok: Bool[Array, ""]
+    ok: Bool[Any, ""]
 
 
 class Discrepancy(NamedTuple):
     """How far two primitives of one kind lie apart, free of sign and gauge."""
 
-    direction: Float[Array, ""]  # angle between normals or axes, radians; 0 for spheres
-    position: Float[Array, ""]  # length: offsets of planes, centres, apexes, or distance between the axes of cylinders
-    size: Float[Array, ""]  # radii (length) or half-angles (radians); 0 for planes
+    direction: Float[Any, ""]  # angle between normals or axes, radians; 0 for spheres
+    position: Float[Any, ""]  # length: offsets of planes, centres, apexes, or distance between the axes of cylinders
+    size: Float[Any, ""]  # radii (length) or half-angles (radians); 0 for planes

@@ -70,7 +70,8 @@ def primitives_table(
     header = ["#", "kind", "points", "size", "axis or normal", "position", "rms"]
     rows = []
     largest = np.sort(np.argsort(-counts, kind="stable")[:max_rows])
-    for i, primitive in ((i, primitives[i]) for i in largest.tolist()):
+    for i in map(int, largest):
+        primitive = primitives[i]
         measured = length(rms_distances[i]) if np.isfinite(rms_distances[i]) else "-"
         row = [str(i), primitive.kind, f"{counts[i]:,}", *describe(primitive, length), measured]
         rows.append([*row[:2], str(surface_of[i]), *row[2:]] if shared else row)
