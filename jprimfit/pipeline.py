@@ -71,7 +71,9 @@ def fit(
 
     say("refine", 0, 1)
     labels = propagate(proposal.labels, thinned, cloud)
-    found = refinement.refine(cloud, proposal.surfaces, labels, given, noise=proposal.noise)
+    # The noise of a smoothed cloud is not that of the scan.
+    noise = None if smooth else proposal.noise
+    found = refinement.refine(cloud, proposal.surfaces, labels, given, noise=noise)
 
     rows, center, scale = usable.rows[kept], ready.frame.center, ready.frame.scale
     num_points = len(np.asarray(points))

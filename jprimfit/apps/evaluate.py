@@ -7,6 +7,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jprimfit import pipeline
     from jprimfit.data.fit4cad import read_clouds
     from jprimfit.evaluation import overlap
+    from jprimfit.io.files import replacing
 
     first, last = _range(arguments.clouds)
     parts = []
@@ -42,12 +44,30 @@ def run(arguments: argparse.Namespace) -> int:
         scored = overlap.score(cloud, scene.labels, scene.surface_of, tuple(p.kind for p in scene.primitives))
         parts.append({"name": cloud.name, "points": len(cloud.points), "seconds": seconds, **scored._asdict()})
         print(_line(cloud.name, parts[-1]), flush=True)
-    keys = [key for key in parts[0] if key != "name"]
-    mean = {key: float(np.nanmean([part[key] for part in parts])) for key in keys}
+    if not parts:
+        raise ValueError(f"{arguments.data} holds none of the clouds {arguments.clouds}: give another range.")
+    mean = {key: _mean([part[key] for part in parts]) for key in parts[0] if key != "name"}
     print(_line(f"mean {len(parts)}", mean))
     if arguments.json:
-        arguments.json.write_text(json.dumps({"mean": mean, "parts": parts}, indent=1))
+        text = json.dumps(_without_nan({"mean": mean, "parts": parts}), indent=1, allow_nan=False)
+        with replacing(arguments.json) as file:
+            file.write(text.encode())
     return 0
+
+
+def _mean(values: list) -> float:
+    """Mean of what was there to score, NaN where nothing was."""
+    scored = [value for value in values if not np.isnan(value)]
+    return float(np.mean(scored)) if scored else float("nan")
+
+
+def _without_nan(value: Any) -> Any:
+    """The value with null for NaN, which JSON does not know."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and np.isnan(value) else value
 
 
 def _range(text: str) -> tuple[int, int]:

@@ -47,11 +47,18 @@ def _read_cloud(source: hdf5.Source, name: str) -> BenchmarkCloud:
     def read(array: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
         return source.array(f"{name}/{array}", kind=kind, shape=shape).read()
 
+    points = read("points", "f", (None, 3)).astype(np.float64)
     bounds, rows = read("member_ptr", "i", (None,)), read("member_index", "i", (None,))
+    types, surfaces = read("inst_type", "i", (None,)), read("inst_surface", "i", (None,))
+    sizes = np.diff(bounds.astype(np.int64), prepend=0, append=len(rows))
+    sound = len(bounds) - 1 == len(types) == len(surfaces) and sizes[0] == sizes[-1] == 0 and np.all(sizes >= 0)
+    in_range = np.all((rows >= 0) & (rows < len(points))) and np.all((types >= 0) & (types < len(SOURCE_KINDS)))
+    if not (sound and in_range):
+        raise ValueError(f"{source.path}: {name} is damaged: its instances do not refer to its points; fetch it again.")
     return BenchmarkCloud(
         name=name,
-        points=read("points", "f", (None, 3)).astype(np.float64),
+        points=points,
         members=tuple(rows[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)),
-        kinds=tuple(SOURCE_KINDS[kind] for kind in read("inst_type", "i", (None,))),
-        surfaces=read("inst_surface", "i", (None,)).astype(np.int64),
+        kinds=tuple(SOURCE_KINDS[kind] for kind in types),
+        surfaces=surfaces.astype(np.int64),
     )

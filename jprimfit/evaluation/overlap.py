@@ -1,11 +1,11 @@
 """Overlap of a segmentation with a benchmark whose segments are point sets that may share points.
 
-B is a true segment, P a predicted one, both boolean rows over the n points. DSC = 2|B∩P| / (|B| + |P|), each B taking the
-P with which it shares most points; not one to one, as the Fit4CAD benchmark defines it (Romanengo et al. 2021). The mean
-over B is the score of a cloud, the mean over clouds that of a method. Four readings of it are given:
-instances (the benchmark's own), single (instances, without points that several segments list), surfaces (faces of one
-geometric surface united on both sides: no scan can tell two half cylinders apart) and, beside them, the one-to-one
-mean IoU over surfaces and the share of matched surfaces whose kind is right.
+B is a true segment, P a predicted one, both sets of the n points. DSC = 2|B∩P| / (|B| + |P|), each B taking the P with
+which it shares most points; not one to one, as the Fit4CAD benchmark defines it (Romanengo et al. 2021). The
+mean over B is the score of a cloud, the mean over clouds that of a method. Readings of it: instances (the benchmark's own), single
+(instances, over the points that exactly one of them lists), surfaces (faces of one geometric surface united on both
+sides: no scan can tell two half cylinders apart). Beside them the one-to-one mean IoU over surfaces, over the points of
+exactly one, and the share of matched surfaces whose kind is right.
 """
 
 from typing import NamedTuple
@@ -105,7 +105,7 @@ def _dice(true_sets: csr_matrix, predicted: csr_matrix) -> np.ndarray:
 
 
 def _one_to_one(true_sets, predicted, chosen, true_kinds, predicted_kinds) -> tuple[np.ndarray, np.ndarray]:
-    """IoU of the chosen true sets under the best one-to-one assignment, and whether matched ones have the right kind."""
+    """IoU of the chosen true sets, assigned one to one, and of those above 0.5 whether the kind is right."""
     single = np.asarray(true_sets.sum(axis=0)).ravel() == 1
     true_sets, predicted = _keep(true_sets, single), _keep(predicted, single)
     common = (true_sets @ predicted.T).toarray()

@@ -40,11 +40,12 @@ def propose(
     """
     described = local.describe(points, normals=normals)
     for doubling in range(NUM_DOUBLINGS + 1):
-        regions = growing.grow_regions(points, described, progress=progress)
+        regions = growing.grow_regions(points, described, normals=normals, progress=progress)
         tolerance = growing.tolerance(described)
         surfaces = merging.merge_regions(points, described.normal, regions, tolerance=tolerance)
-        quiet = described.noise < growing.QUIET * described.spacing
-        if quiet or doubling == NUM_DOUBLINGS or merging.echoes(points, surfaces, tolerance=tolerance) <= MAX_ECHOES:
+        if growing.is_quiet(described) or doubling == NUM_DOUBLINGS:
+            break
+        if merging.echoes(points, surfaces, tolerance=tolerance) <= MAX_ECHOES:
             break
         described = described._replace(noise=2.0 * described.noise)
     labels = np.full(len(points), -1, dtype=np.int32)

@@ -33,7 +33,7 @@ HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.92}  # fac
 MAX_PASSES = 4
 SMALL_REGION = 80  # points; a larger region of a clean cloud is no coincidence
 SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to be tried
-QUIET = 0.05  # noise per spacing below which a patch of a few dozen points shows its kind
+QUIET = 0.05  # noise per spacing
 
 
 class Region(NamedTuple):
@@ -61,14 +61,24 @@ def tolerance(surface: LocalSurface) -> float:
     return max(3.0 * surface.noise, 0.005 * surface.spacing)
 
 
+def is_quiet(surface: LocalSurface) -> bool:
+    """Whether a patch of a few dozen points shows its kind in spite of the noise."""
+    return surface.noise < QUIET * surface.spacing
+
+
 def grow_regions(
-    points: Float[np.ndarray, "n 3"], surface: LocalSurface, *, progress: Callable[[int, int], None] | None = None
+    points: Float[np.ndarray, "n 3"],
+    surface: LocalSurface,
+    *,
+    normals: Float[np.ndarray, "n 3"] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Region]:
     """All regions of a cloud, in the order they were found.
 
     What a pass leaves is looked at anew without the points that are explained: a wall three points high has no smooth
     neighbourhood as long as the faces above and below are seen too. Its edges, which those faces claim, stay in view.
-    progress is called with (points explained or given up, points in all).
+    normals: measured ones, where the surface was described with them. progress is called with (points explained or
+    given up, points in all).
     """
     regions: list[Region] = []
     whole = surface
@@ -88,8 +98,9 @@ def grow_regions(
         rows, claimed = rows[keep], beside[keep]
         if len(rows) < MIN_EXCESS + 3:
             break
-        surface = describe(points[rows], noise=surface.noise, spacing=surface.spacing)
-    return _closed(regions, whole) if whole.noise < QUIET * whole.spacing else regions
+        measured = None if normals is None else normals[rows]
+        surface = describe(points[rows], normals=measured, noise=surface.noise, spacing=surface.spacing)
+    return _closed(regions, whole) if is_quiet(whole) else regions
 
 
 def _closed(regions: list[Region], surface: LocalSurface) -> list[Region]:
@@ -151,7 +162,7 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
     patch = _seed_patch(state, seed, depth)
     if len(patch) < SEED_POINTS[0]:
         return None
-    quiet = state.surface.noise < QUIET * state.surface.spacing
+    quiet = is_quiet(state.surface)
     best: Region | None = None
     for kind in KINDS:
         region = _grow_kind(state, patch, kind)
@@ -268,7 +279,7 @@ def _claim(state: _Pass, region: Region) -> np.ndarray:
     distance, _ = state.cloud.agreement(region.primitive)
     fits = (distance <= state.tolerance) & ~state.taken
     rings = CLAIM_RINGS
-    if state.surface.noise < QUIET * state.surface.spacing:
+    if is_quiet(state.surface):
         fits &= ~state.surface.core
     else:
         # As far as the neighbourhood of a normal reaches.

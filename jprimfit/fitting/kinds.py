@@ -5,6 +5,7 @@ themselves. It runs in float32 on points that were shifted to their mean and div
 no digit is lost far from the origin; the answer comes back as NumPy float64 in the frame of the cloud.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
 SIZE_CLASSES = (256, 8_192)  # points of a fit, padded with weight 0 up to the next; more are thinned out
 NUM_STEPS = 10
+STACK = 32  # primitives of one kind that are held against a cloud in one call
 
 
 class Fitted(NamedTuple):
@@ -41,6 +43,19 @@ class Cloud:
         """Distance of every point to the primitive, and |cosine| between the point's normal and the primitive's."""
         distance, cosine = _agreement(as_float32(primitive), self.points, self.normals)
         return np.asarray(distance)[: self.num_points], np.asarray(cosine)[: self.num_points]
+
+    def agreements(self, primitives: Sequence[Primitive]) -> tuple[Float[np.ndarray, "p n"], Float[np.ndarray, "p n"]]:
+        """`agreement` with each of p primitives of any kinds."""
+        distance, cosine = np.empty((2, len(primitives), self.num_points), np.float32)
+        for kind in {primitive.kind for primitive in primitives}:
+            rows = [row for row, primitive in enumerate(primitives) if primitive.kind == kind]
+            for first in range(0, len(rows), STACK):
+                chunk = rows[first : first + STACK]
+                padded = chunk + chunk[:1] * (STACK - len(chunk))
+                stack = jax.tree.map(lambda *fields: np.stack(fields), *(as_float32(primitives[row]) for row in padded))
+                found = _agreements(stack, self.points, self.normals)
+                distance[chunk], cosine[chunk] = (np.asarray(a)[: len(chunk), : self.num_points] for a in found)
+        return distance, cosine
 
 
 def fit(
@@ -86,7 +101,7 @@ def normals(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.
 
 
 def distances(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Unsigned distance of each point, to about 1e-7 of the size of the cloud of points itself."""
+    """Unsigned distance of each point, to about 1e-7 of the size of the points or of the radius if that is larger."""
     center = points.mean(axis=0)
     size = float(np.abs(points - center).max()) or 1.0
     local = (points - center) / size
@@ -109,8 +124,8 @@ def move(primitive: Primitive, shift: Float[np.ndarray, "3"], scale: float) -> P
 
 
 def as_float32(primitive: Primitive) -> Primitive:
-    """The same fields as float32 device arrays."""
-    return type(primitive)(*(jnp.asarray(field, jnp.float32) for field in primitive))
+    """The same fields in float32; NumPy arrays, which a jitted function takes faster than it could be handed others."""
+    return type(primitive)(*(np.asarray(field, np.float32) for field in primitive))
 
 
 @jax.jit
@@ -123,6 +138,9 @@ def _agreement(primitive: Any, points: Float[Array, "n 3"], normals: Float[Array
     module = of(primitive)
     cosine = jnp.abs(jnp.sum(module.normal(primitive, points) * normals, axis=1))
     return module.distance(primitive, points), cosine
+
+
+_agreements = jax.jit(jax.vmap(_agreement, in_axes=(0, None, None)))
 
 
 @partial(jax.jit, static_argnames="kind")

@@ -46,9 +46,7 @@ def describe(
     of, where they are known better.
     """
     neighbors = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points)))
-    distance = np.sqrt(neighbors.sq_distance)
-    apart = np.where(distance > 0, distance, np.inf).min(axis=1)
-    spacing = float(np.median(apart[np.isfinite(apart)])) if spacing is None else spacing
+    spacing = _spacing(points, np.sqrt(neighbors.sq_distance)) if spacing is None else spacing
     index = np.asarray(neighbors.index)
     normal, residual = _quadrics(points, index)
     noise = _noise(points, residual, spacing) if noise is None else noise
@@ -62,6 +60,15 @@ def describe(
     core = residual <= max(2.0 * noise, 0.03 * spacing)
     normal = normal if normals is None else normals
     return LocalSurface(index, normal, residual, core, spacing, noise)
+
+
+def _spacing(points: Float[np.ndarray, "n 3"], distance: Float[np.ndarray, "n k"]) -> float:
+    """Median distance to the nearest point elsewhere; copies of a point, which some scanners write, do not count."""
+    apart = np.where(distance > 0, distance, np.inf).min(axis=1)
+    if np.isfinite(apart).any():
+        return float(np.median(apart[np.isfinite(apart)]))
+    distinct = np.unique(points, axis=0)
+    return float(np.median(np.sqrt(host.knn(distinct, distinct, k=2).sq_distance[:, 1])))
 
 
 def _noise(points: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, " n"], spacing: float) -> float:

@@ -53,20 +53,18 @@ def echoes(points: Float[np.ndarray, "n 3"], surfaces: list[Surface], *, toleran
     num_echoed = 0
     for number, surface in enumerate(surfaces):
         sample = _sample(points, surface.primitive, surface.rows)
-        for larger in surfaces[:number]:
-            if len(larger.rows) < 2 * len(surface.rows):
-                break
-            distance, cosine = sample.agreement(larger.primitive)
-            if np.median(cosine) > ECHO_COSINE and np.median(distance) < 2.0 * tolerance:
-                num_echoed += len(surface.rows)
-                break
+        larger = [other.primitive for other in surfaces[:number] if len(other.rows) >= 2 * len(surface.rows)]
+        if larger:
+            distance, cosine = sample.agreements(larger)
+            along = (np.median(cosine, axis=1) > ECHO_COSINE) & (np.median(distance, axis=1) < 2.0 * tolerance)
+            num_echoed += len(surface.rows) * bool(along.any())
     return num_echoed / len(points)
 
 
 def _home(points, normals, surfaces, region, tolerance) -> tuple[int, Primitive] | None:
     """The surface that the region lies on and its primitive with the region added; None where there is none."""
     sample = _sample(points, region.primitive, region.rows)
-    errors = [_misfit(sample, surface.primitive, tolerance) for surface in surfaces]
+    errors = _misfits(sample, [surface.primitive for surface in surfaces], tolerance)
     for index in np.argsort(errors, kind="stable"):
         surface = surfaces[index]
         if errors[index] <= 1.0:
@@ -85,7 +83,7 @@ def _home(points, normals, surfaces, region, tolerance) -> tuple[int, Primitive]
 
 def _joint(points, normals, surface, region) -> Primitive | None:
     rows = np.union1d(surface.rows, region.rows)
-    fitted = kinds.fit(surface.primitive.kind, points, normals, rows, start=surface.primitive)
+    fitted = kinds.fit(surface.primitive.kind, points, normals, rows, sample=SAMPLE, start=surface.primitive)
     return None if fitted is None else fitted.primitive
 
 
@@ -96,15 +94,16 @@ def _sample(points, primitive, rows) -> kinds.Cloud:
     return kinds.Cloud(points[rows], kinds.normals(primitive, points[rows]))
 
 
-def _misfit(sample: kinds.Cloud, primitive: Primitive, tolerance: float) -> float:
-    """At most 1 if the primitive explains the sample: the EXPLAINED quantile of distance / tolerance.
+def _misfits(sample: kinds.Cloud, primitives: list[Primitive], tolerance: float) -> Float[np.ndarray, " p"]:
+    """For each primitive at most 1 if it explains the sample: the EXPLAINED quantile of distance / tolerance.
 
     Infinite where the normals differ.
     """
-    distance, cosine = sample.agreement(primitive)
-    if np.median(cosine) < MIN_COSINE:
-        return np.inf
-    return float(np.quantile(distance, EXPLAINED)) / tolerance
+    if not primitives:
+        return np.zeros(0)
+    distance, cosine = sample.agreements(primitives)
+    misfits = np.quantile(distance, EXPLAINED, axis=1) / tolerance
+    return np.where(np.median(cosine, axis=1) < MIN_COSINE, np.inf, misfits)
 
 
 def _is_as_good(sample: kinds.Cloud, own: Region | Surface, joint: Primitive, tolerance: float) -> bool:

@@ -43,10 +43,12 @@ def refine(
     """
     described = local.describe(points, normals=normals, noise=noise)
     tolerance = growing.tolerance(described)
+    # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
+    surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     for _ in range(ROUNDS):
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
-    faces, surface_of = assignment.faces(described, labels)
+    faces, surface_of = assignment.faces(points, described, labels)
     primitives = tuple(surfaces[number].primitive for number in surface_of)
     distances = np.full(len(points), np.nan)
     for number, primitive in enumerate(primitives):

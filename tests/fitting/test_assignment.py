@@ -80,7 +80,7 @@ def islands(parts):
 def test_a_surface_is_cut_into_its_islands_largest_first(islands):
     points, island = islands
     surface_number = np.where(island == 2, 1, 0)
-    face, surface_of = faces(describe(points), surface_number.astype(np.int32))
+    face, surface_of = faces(points, describe(points), surface_number.astype(np.int32))
     assert face.dtype == surface_of.dtype == np.int32
     np.testing.assert_array_equal(face, np.array([2, 0, 1])[island])
     np.testing.assert_array_equal(surface_of, [0, 1, 0])
@@ -89,7 +89,7 @@ def test_a_surface_is_cut_into_its_islands_largest_first(islands):
 
 def test_touching_faces_of_two_surfaces_stay_two():
     points, _, truth = corner()
-    face, surface_of = faces(describe(points), truth)
+    face, surface_of = faces(points, describe(points), truth)
     np.testing.assert_array_equal(face, truth)
     np.testing.assert_array_equal(surface_of, [0, 1])
 
@@ -102,8 +102,8 @@ def test_specks_and_unassigned_points_are_on_no_face(islands):
     speck = far[np.argsort(np.linalg.norm(points[far] - points[far[:1]], axis=1))[: MIN_FACE - 1]]
     labels[far] = -1
     labels[speck] = 1
-    face, surface_of = faces(describe(points), labels)
+    face, surface_of = faces(points, describe(points), labels)
     np.testing.assert_array_equal(face, np.where(island == 1, 0, -1))
     np.testing.assert_array_equal(surface_of, [0])
-    nothing, of_none = faces(describe(points), np.full(len(points), -1, np.int32))
+    nothing, of_none = faces(points, describe(points), np.full(len(points), -1, np.int32))
     assert (nothing == -1).all() and of_none.shape == (0,)
