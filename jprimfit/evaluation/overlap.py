@@ -1,11 +1,11 @@
 """Overlap of a segmentation with a benchmark whose segments are point sets that may share points.
 
 B is a true segment, P a predicted one, both sets of the n points. DSC = 2|B∩P| / (|B| + |P|), each B taking the P with
-which it shares most points; not one to one, as the Fit4CAD benchmark defines it (Romanengo et al. 2021). The
-mean over B is the score of a cloud, the mean over clouds that of a method. Readings of it: instances (the benchmark's own), single
-(instances, over the points that exactly one of them lists), surfaces (faces of one geometric surface united on both
-sides: no scan can tell two half cylinders apart). Beside them the one-to-one mean IoU over surfaces, over the points of
-exactly one, and the share of matched surfaces whose kind is right.
+which it shares most points; not one to one, as the Fit4CAD benchmark defines it (Romanengo et al. 2021). The mean over
+B is the score of a cloud, the mean over clouds that of a method. Readings of it: instances (the benchmark's own),
+single (instances, over the points that exactly one of them lists), surfaces (faces of one geometric surface united on
+both sides: no scan can tell two half cylinders apart). Beside them the one-to-one mean IoU over surfaces, over the
+points of exactly one, and the share of matched surfaces whose kind is right.
 """
 
 from typing import NamedTuple

@@ -21,7 +21,7 @@ SWEEPS = 6
 NORMAL_SCALE = np.radians(15.0)  # a disagreement that costs as much as one standard deviation of distance
 SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
 SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
-MAX_LINK = 3.0  # spacings between two points that are neighbours for certain
+MAX_LINK = 3.0  # length of a link, in distances to the farthest of the voters
 MIN_FACE = 6  # points; a smaller part cut off from its surface is no face
 
 
@@ -62,7 +62,7 @@ def faces(
     """
     index = surface.index[:, 1:NUM_VOTERS]
     start, end = np.repeat(np.arange(len(index)), index.shape[1]), index.ravel()
-    same = (labels[start] == labels[end]) & (labels[start] >= 0) & _near(points, surface, start, end)
+    same = (labels[start] == labels[end]) & (labels[start] >= 0) & _near(points, index, start, end)
     matrix = coo_matrix((np.ones(int(same.sum()), np.int8), (start[same], end[same])), shape=(len(labels),) * 2)
     _, component = connected_components(matrix, directed=False)
     component[labels < 0] = -1
@@ -77,14 +77,11 @@ def faces(
     return face.astype(np.int32), surface_of
 
 
-def _near(points, surface: LocalSurface, start, end) -> np.ndarray:
-    """Whether two points are neighbours on a surface: close, or each among the other's nearest.
-
-    The second holds on both sides of a change of density, yet not for an outlier, whose neighbours have nearer ones.
-    """
-    close = np.square(points[start] - points[end]).sum(axis=1) <= (MAX_LINK * surface.spacing) ** 2
-    number = len(points)
-    return close | np.isin(start * number + end, end * number + start)
+def _near(points, index, start, end) -> np.ndarray:
+    """Whether two points are neighbours by the measure of both: an outlier's neighbours have others much nearer."""
+    reach = np.sqrt(np.square(points[index[:, -1]] - points).sum(axis=1))
+    distance = np.sqrt(np.square(points[start] - points[end]).sum(axis=1))
+    return distance <= MAX_LINK * np.minimum(reach[start], reach[end])
 
 
 def _costs(points, surface, surfaces, tolerance) -> Float[np.ndarray, "s n"]:
