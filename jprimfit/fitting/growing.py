@@ -27,6 +27,7 @@ NUM_LINKS = 8  # nearest neighbours that connect a point
 MAX_NORMAL_ANGLE = np.radians(25.0)  # between a core point's normal and the primitive's
 SEED_POINTS = (8, 64)  # least and most points of a seed patch on a clean cloud
 MIN_EXCESS = 5  # points beyond the degrees of freedom that a region must have
+MAX_SEED_RMS = 2.0  # tolerances; a first fit worse than this is not grown
 GROWTH_ROUNDS = 16
 CLAIM_RINGS = 3  # links that a claim reaches beyond the core of a region
 HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.92}  # factor on the evidence
@@ -173,7 +174,7 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
         # Without noise a surface of too few degrees of freedom does not outgrow its seed; with noise see below.
         if not quiet or len(region.rows) > 2.5 * len(patch):
             break
-    while best is not None and not quiet:
+    while best is not None:
         better = _regrow(state, best)
         if better is None:
             break
@@ -234,7 +235,7 @@ def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:
     rows, primitive, evidence = patch, None, 0.0
     for _ in range(GROWTH_ROUNDS):
         fitted = _refitted(state, kind, rows)
-        if fitted is None or (primitive is None and fitted.rms > state.tolerance):
+        if fitted is None or (primitive is None and fitted.rms > MAX_SEED_RMS * state.tolerance):
             break
         distance, cosine = state.cloud.agreement(fitted.primitive)
         center = points[rows].mean(axis=0)
