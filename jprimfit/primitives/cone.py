@@ -154,5 +154,7 @@ def retract(primitive: Cone, step: Float[Array, "6"]) -> Cone:
 
 
 def canonical(primitive: Cone, anchor: Float[Array, "3"]) -> Cone:
-    """The cone itself: its parameters are unique."""
-    return primitive
+    """The same cone with its half-angle at most a right one: a step may turn it inside out. The anchor is not used."""
+    obtuse = primitive.half_angle > math.pi / 2
+    axis = jnp.where(obtuse, -primitive.axis, primitive.axis)
+    return Cone(axis, primitive.apex, jnp.where(obtuse, math.pi - primitive.half_angle, primitive.half_angle))

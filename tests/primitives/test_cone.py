@@ -102,3 +102,12 @@ def test_samples_are_even_by_area():
     height = np.asarray(points)[:, 2] - 1
     assert height.min() >= 0 and height.max() <= 2
     np.testing.assert_allclose(np.mean(height < 1), 0.25, atol=0.02)
+
+
+def test_a_half_angle_past_a_right_one_is_the_cone_about_the_opposite_axis():
+    primitive = Cone(jnp.array([0.0, 0.6, 0.8]), jnp.array([1.0, 2.0, 3.0]), jnp.array(1.8))
+    folded = cone.canonical(primitive, jnp.zeros(3))
+    np.testing.assert_allclose(folded.half_angle, np.pi - 1.8, rtol=1e-6)
+    points = jax.random.normal(jax.random.key(0), (50, 3)) * 4
+    np.testing.assert_allclose(cone.distance(folded, points), cone.distance(primitive, points), atol=2e-6)
+    np.testing.assert_array_equal(cone.canonical(folded, jnp.zeros(3)).axis, folded.axis)
