@@ -76,10 +76,13 @@ def find_outliers(
 
     "on" is one pass of the filter, "off" keeps all. "auto" runs the filter while isolated points are found, at most
     twice (the first pass takes away far outliers, whose distances widen the threshold), and never removes a point
-    whose mean distance is below twice the median.
+    whose mean distance is below twice the median. ValueError for any other mode.
     """
+    passes = {"auto": MAX_PASSES, "on": 1, "off": 0}
+    if mode not in passes:
+        raise ValueError(f"filter is {mode!r}, but there are only 'auto', 'on' and 'off': give one of them.")
     keep, thresholds, first_share = np.ones(len(points), bool), [], 0.0
-    for number in range({"auto": MAX_PASSES, "on": 1, "off": 0}[mode]):
+    for number in range(passes[mode]):
         rows = np.flatnonzero(keep)
         mean, isolation = neighbor_distances(points[rows], k=k)
         share = float((isolation > ISOLATION).mean())

@@ -1,5 +1,7 @@
 """The outlier filter: Open3D's convention by a loop, and when "auto" decides to use it."""
 
+import inspect
+
 import numpy as np
 import pytest
 
@@ -84,3 +86,9 @@ def test_tiny_and_degenerate_clouds_keep_a_point(points, mode):
     found = outliers.find_outliers(points, mode=mode)
     assert found.keep.any() and len(found.keep) == len(points)
     assert np.isfinite(found.isolated_share)
+
+
+@pytest.mark.parametrize("mode", ["yes", True, None])
+def test_another_mode_is_refused(mode):
+    with pytest.raises(ValueError, match="'auto', 'on' and 'off'"):
+        inspect.unwrap(outliers.find_outliers)(np.eye(4)[:, :3], mode=mode)  # without the type checks of the tests
