@@ -34,7 +34,12 @@ def length_formatter(extent: float) -> Callable[[Any], str]:
     decimals = NUM_DIGITS - 1 - int(np.floor(np.log10(extent)))
     if decimals > 9:
         return lambda value: f"{float(value):.{NUM_DIGITS - 1}e}"
-    return lambda value: f"{float(value):.{max(decimals, 0)}f}"
+    return lambda value: _unsigned_zero(f"{float(value):.{max(decimals, 0)}f}")
+
+
+def _unsigned_zero(number: str) -> str:
+    """The number without the sign of a zero that it was rounded to."""
+    return number if number.strip("-0.") else number.lstrip("-")
 
 
 def describe(primitive: Primitive, length: Callable[[Any], str]) -> tuple[str, str, str]:
@@ -44,7 +49,7 @@ def describe(primitive: Primitive, length: Callable[[Any], str]) -> tuple[str, s
         return "(" + ", ".join(length(x) for x in np.asarray(value)) + ")"
 
     def direction(value: Any) -> str:
-        return "(" + ", ".join(f"{float(x) + 0.0:.4f}" for x in np.asarray(value)) + ")"
+        return "(" + ", ".join(_unsigned_zero(f"{float(x):.4f}") for x in np.asarray(value)) + ")"
 
     p: Any = primitive
     if p.kind == "plane":

@@ -23,11 +23,13 @@ def test_lengths_follow_the_size_of_the_scan():
     assert length_formatter(3e6)(1234567.8) == "1234568"
     assert length_formatter(1e-6)(5.5e-7) == "5.50000e-07"
     assert length_formatter(0.0)(3.25) == "3.25"
+    assert length_formatter(100.0)(-0.0001) == "0.000" and length_formatter(100.0)(-0.001) == "-0.001"
 
 
 def test_every_kind_is_described_with_angles_in_degrees():
     length = length_formatter(10.0)
-    assert describe(Plane(X, np.float64(2)), length) == ("", "(1.0000, 0.0000, 0.0000)", "offset 2.0000")
+    tilted = np.array([1.0, -1e-5, -0.0])
+    assert describe(Plane(tilted, np.float64(2)), length) == ("", "(1.0000, 0.0000, 0.0000)", "offset 2.0000")
     assert describe(Sphere(ZERO, np.float64(2)), length)[0] == "r = 2.0000, d = 4.0000"
     assert describe(Cylinder(X, ZERO, np.float64(2)), length)[2] == "center (0.0000, 0.0000, 0.0000)"
     assert describe(Cone(X, ZERO, np.float64(np.pi / 6)), length)[0] == "half-angle 30.000 deg"
