@@ -7,9 +7,9 @@ scan that cannot be used is named in one sentence, the others go on, and the exi
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from jprimfit.scene import Scene
@@ -77,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         say(f"scan {number + 1} of {len(arguments.inputs)}")
         try:
+            check_target(folder)
             outcomes.append(fit_file(scan, folder, arguments, say=say))
         except ValueError as error:
             failure = " ".join(str(error).split())
@@ -95,7 +96,7 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
     from jprimfit.io.clouds import read_cloud
 
     cloud = read_cloud(scan)
-    say(f"{scan}: {len(cloud.points):,} points")
+    say(f"{scan}: {len(cloud.points):,} point{'s' if len(cloud.points) != 1 else ''}")
     use_compilation_cache()
     from jprimfit import pipeline
 
@@ -124,7 +125,8 @@ def answer_text(outcome: Outcome) -> str:
     scene = outcome.scene
     assert scene is not None
     if not scene.primitives:
-        return f"no primitives found in {len(scene.points):,} points\nwrote {outcome.folder} in {outcome.seconds:.1f} s"
+        lines = [f"no primitives found in {len(scene.points):,} points", *_left_out(scene.report)]
+        return "\n".join([*lines, f"wrote {outcome.folder} in {outcome.seconds:.1f} s"])
     explained = np.mean(scene.labels >= 0)
     lines = [
         scene.table(max_rows=MAX_ROWS),
@@ -133,7 +135,18 @@ def answer_text(outcome: Outcome) -> str:
     ]
     if np.isfinite(scene.noise):
         lines[-1] += f", noise {scene.noise:.3g}"
+    lines += _left_out(scene.report)
     return "\n".join([*lines, f"wrote {outcome.folder} in {outcome.seconds:.1f} s"])
+
+
+def _left_out(report: Mapping[str, Any]) -> list[str]:
+    """A line on the points that no primitive was sought for, if there are any."""
+    counts = {
+        "not finite": report.get("num_unusable", 0),
+        "removed as outliers (see --filter)": report.get("preprocessing", {}).get("num_removed", 0),
+    }
+    parts = [f"{count:,} {why}" for why, count in counts.items() if count]
+    return [f"points left out: {', '.join(parts)}"] if parts else []
 
 
 def summary_text(outcomes: Sequence[Outcome]) -> str:

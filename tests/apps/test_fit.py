@@ -1,12 +1,17 @@
 """`jprimfit fit`: its files, its tables, its settings, one scan or many."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from jprimfit.apps.fit import Outcome, answer_text
 from jprimfit.apps.main import main
 from jprimfit.io import text
 from jprimfit.io.clouds import read_cloud
 from jprimfit.scene import Scene
+from jprimfit.types import Plane
 
 POINTS = np.random.default_rng(0).normal(size=(60, 3))
 FILES = ["report.png", "scene.json", "scene.npz", "segments.ply", "surfaces.mtl", "surfaces.obj"]
@@ -57,6 +62,26 @@ def test_several_scans_have_folders_of_their_own_and_a_summary(quick, tmp_path, 
     assert f"jprimfit: fit: {bad} is not a PLY file" in err
     lines = out.splitlines()
     assert len(lines) == 6 and "failed:" in lines[3] and "1 plane, 1 sphere" in lines[2]
+
+
+def test_a_folder_that_cannot_be_written_does_not_stop_the_others(quick, tmp_path, capsys):
+    for name in ("a", "b"):
+        text.write(tmp_path / f"{name}.xyz", POINTS)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a").write_text("mine")
+    assert main(["fit", str(tmp_path / "a.xyz"), str(tmp_path / "b.xyz"), "--out", str(tmp_path / "out")]) == 2
+    assert "is a file: give a folder" in capsys.readouterr().err
+    assert (tmp_path / "out" / "a").read_text() == "mine" and _names(tmp_path / "out" / "b") == FILES
+
+
+@pytest.mark.parametrize("primitives", [0, 1])
+def test_points_left_out_are_told(primitives):
+    report = {"num_unusable": 1200, "preprocessing": {"num_removed": 3}}
+    planes, labels = (Plane(np.eye(3)[2], np.float64(0)),) * primitives, np.full(60, primitives - 1, np.int32)
+    scene = Scene(POINTS, labels, planes, np.arange(primitives, dtype=np.int32), POINTS, np.zeros(60), report=report)
+    outcome = Outcome(Path("scan.ply"), Path("out"), scene, 1.0, "")
+    assert "points left out: 1,200 not finite, 3 removed as outliers (see --filter)" in answer_text(outcome)
+    assert "left out" not in answer_text(outcome._replace(scene=replace(scene, report={})))
 
 
 def test_a_scan_that_is_refused_writes_nothing(quick, tmp_path, capsys):
