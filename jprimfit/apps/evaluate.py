@@ -11,6 +11,11 @@ from typing import Any
 
 import numpy as np
 
+EXAMPLES = """examples:
+  jprimfit evaluate --data fit4cad.h5 --clouds 1-151
+  jprimfit evaluate --data fit4cad.h5 --rotate --noise 1 --json scores.json
+"""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's options to a parser."""
@@ -35,8 +40,13 @@ def run(arguments: argparse.Namespace) -> int:
     from jprimfit.io.files import replacing
 
     first, last = _range(arguments.clouds)
+    if not 0 <= arguments.noise < np.inf or arguments.every < 1:
+        raise ValueError(
+            f"--noise {arguments.noise:g} --every {arguments.every} cannot be: "
+            "give a noise of 0 or more and a step of 1 or more."
+        )
     parts = []
-    for cloud in list(read_clouds(arguments.data, first=first, last=last))[:: max(arguments.every, 1)]:
+    for cloud in list(read_clouds(arguments.data, first=first, last=last))[:: arguments.every]:
         cloud = _disturbed(cloud, noise=arguments.noise, rotate=arguments.rotate)
         begin = time.perf_counter()
         scene = pipeline.fit(cloud.points, model=None)

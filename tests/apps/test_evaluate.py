@@ -88,3 +88,9 @@ def test_files_of_others_are_refused(tmp_path, capsys):
     for path in (foreign, tmp_path / "absent.h5"):
         assert main(["evaluate", "--data", str(path)]) == 2
         assert str(path) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [("--noise", "-1"), ("--noise", "nan"), ("--every", "0")])
+def test_numbers_without_a_meaning_are_refused(benchmark, capsys, words):
+    assert main(["evaluate", "--data", str(benchmark), *words]) == 2
+    assert "0 or more" in capsys.readouterr().err
