@@ -113,20 +113,15 @@ def test_dispatch_asks_the_module(kind):
 @each_dtype
 @each_kind
 def test_fit_recovers_the_parameters(x64, tolerance, kind, dtype):
-    module = table.of(kind)
-
-    @jax.jit
-    @jax.vmap
-    def errors(key):
+    fit, discrepancy, signed = (compiled(kind, name) for name in ("fit", "discrepancy", "signed_distance"))
+    for key in jax.random.split(jax.random.key(1), 8):
         primitive, points, normals = posed(key, kind, dtype)
-        fit = module.fit(points, jnp.ones(NUM_POINTS, dtype), normals)
-        return fit, module.discrepancy(primitive, fit.primitive), module.signed_distance(fit.primitive, points)
-
-    fit, discrepancy, distances = errors(jax.random.split(jax.random.key(1), 8))
-    assert np.all(fit.ok)
-    assert_close(discrepancy, jax.tree.map(jnp.zeros_like, discrepancy), tolerance[dtype])
-    np.testing.assert_allclose(distances, 0, atol=tolerance[dtype])
-    assert all(leaf.dtype == dtype for leaf in jax.tree.leaves(fit.primitive))
+        found = fit(points, jnp.ones(NUM_POINTS, dtype), normals)
+        error = discrepancy(primitive, found.primitive)
+        assert found.ok
+        assert_close(error, jax.tree.map(jnp.zeros_like, error), tolerance[dtype])
+        np.testing.assert_allclose(signed(found.primitive, points), 0, atol=tolerance[dtype])
+        assert all(leaf.dtype == dtype for leaf in jax.tree.leaves(found.primitive))
 
 
 @each_kind
