@@ -52,19 +52,25 @@ def fit(
     Source: Entropy 2024, 26(9), 717, Figure 1.
     """
     if model not in (None, "default"):
-        raise ValueError(f"there is no model {model!r}: no network is shipped yet, use 'default' or None.")
+        raise ValueError(f"there is no model {model!r}: no network is shipped yet, leave the model out.")
+    if not isinstance(smooth, bool):
+        raise ValueError(f"smooth is {smooth!r}, but True or False is expected: give one of them.")
     say = progress or _silent
     begin = time.perf_counter()
     usable = checks.usable_rows(points, normals)
 
+    # Copies of a point, and the zeros some cameras write for no return, say nothing of a surface.
+    first, copy_of = _distinct(usable.points)
+    distinct = usable.points[first]
+
     say("preprocess", 0, 1)
-    ready = preprocess(usable.points, filter=filter, smooth=smooth, max_points=MAX_POINTS, num_points=NUM_POINTS)
-    kept = np.setdiff1d(np.arange(len(usable.points)), ready.removed)
-    cloud = ready.frame.from_input(usable.points[kept])
+    ready = preprocess(distinct, filter=filter, smooth=smooth, max_points=MAX_POINTS, num_points=NUM_POINTS)
+    kept = np.setdiff1d(np.arange(len(distinct)), ready.removed)
+    cloud = ready.frame.from_input(distinct[kept])
     thinned = ready.points.astype(np.float64)
-    given, given_thinned = (
-        (None, None) if usable.normals is None else (usable.normals[kept], usable.normals[ready.index])
-    )
+    given, given_thinned = None, None
+    if usable.normals is not None:
+        given, given_thinned = usable.normals[first][kept], usable.normals[first][ready.index]
 
     say("segment", 0, len(thinned))
     proposal = geometric.propose(thinned, given_thinned, progress=lambda done, total: say("segment", done, total))
@@ -75,25 +81,39 @@ def fit(
     noise = None if smooth else proposal.noise
     found = refinement.refine(cloud, proposal.surfaces, labels, given, noise=noise)
 
-    rows, center, scale = usable.rows[kept], ready.frame.center, ready.frame.scale
+    center, scale = ready.frame.center, ready.frame.scale
     num_points = len(np.asarray(points))
+
+    def to_input(values: np.ndarray, fill: int | float) -> np.ndarray:
+        return _spread(_spread(values, kept, len(distinct), fill)[copy_of], usable.rows, num_points, fill)
+
     return Scene(
-        points=np.asarray(points, np.float64),
-        labels=_spread(found.labels, rows, num_points, -1),
+        points=np.array(points, np.float64),
+        labels=to_input(found.labels, -1),
         primitives=tuple(kinds.move(primitive, center, scale) for primitive in found.primitives),
         surface_of=found.surface_of,
-        normals=_spread(found.normals, rows, num_points, np.nan),
-        distances=_spread(found.distances * scale, rows, num_points, np.nan),
+        normals=to_input(found.normals, np.nan),
+        distances=to_input(found.distances * scale, np.nan),
         noise=found.noise * scale,
         report={
             "num_points": num_points,
             "num_unusable": num_points - len(usable.points),
+            "num_copies": len(usable.points) - len(distinct),
             "preprocessing": ready.report,
             "network": None,
             "settings": {"filter": filter, "smooth": smooth, "seed": seed},
             "seconds": round(time.perf_counter() - begin, 3),
         },
     )
+
+
+def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the first of each distinct point, ascending, and for every row which of those it equals."""
+    _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[inverse.ravel()]
 
 
 def _spread(values: np.ndarray, rows: np.ndarray, num_rows: int, fill: int | float) -> np.ndarray:

@@ -259,3 +259,17 @@ def test_what_is_no_scan_or_no_model_is_refused():
     with pytest.raises(ValueError, match="normals has 3 rows"):
         fit(POINTS, NORMALS[:3])
     assert fit(POINTS[TRUTH == 0], model=None).primitives[0].kind == "plane"
+
+
+def test_copies_and_no_return_zeros_change_nothing():
+    alone = fit(NOISY)
+    doubled = fit(np.concatenate([NOISY, NOISY]))
+    np.testing.assert_array_equal(doubled.labels, np.tile(alone.labels, 2))
+    assert doubled.report["num_copies"] == len(NOISY)
+    zeros = fit(np.concatenate([NOISY, np.zeros((500, 3))]))
+    assert (surfaces(zeros)[: len(NOISY)] == TRUTH).mean() > 0.9
+
+
+def test_many_copies_and_three_points_end():
+    points = np.concatenate([np.zeros((300, 3)), np.eye(3)])
+    assert fit(points).labels.shape == (303,)

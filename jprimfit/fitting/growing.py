@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jprimfit.fitting import kinds
 from jprimfit.fitting.local import LocalSurface, describe
@@ -94,7 +94,7 @@ def grow_regions(
             progress(len(points) - int(left.sum()), len(points))
         if not found or left.sum() < 3:
             break
-        beside = state.claimed & (cKDTree(state.points[left]).query(state.points)[0] <= 1.25 * surface.spacing)
+        beside = state.claimed & (KDTree(state.points[left]).query(state.points)[0] <= 1.25 * surface.spacing)
         keep = left | beside
         rows, claimed = rows[keep], beside[keep]
         if len(rows) < MIN_EXCESS + 3:
@@ -137,11 +137,12 @@ def _grow_pass(state: _Pass) -> list[Region]:
     seeds = core & ~state.claimed
     depth = np.full(len(points), np.inf)
     if not seeds.all():
-        depth = cKDTree(points[~core]).query(points)[0] if not core.all() else depth
+        depth = KDTree(points[~core]).query(points)[0] if not core.all() else depth
     regions: list[Region] = []
     while seeds.any():
         seed = int(np.argmax(np.where(seeds, depth, -1.0)))
         region = _grow_seed(state, seed, float(depth[seed]))
+        seeds[seed] = False
         if region is None:
             # The seed and its closest surroundings are given up, not only the seed: they would fail alike.
             seeds[state.surface.index[seed, :NUM_LINKS]] = False
@@ -154,7 +155,7 @@ def _grow_pass(state: _Pass) -> list[Region]:
         regions.append(Region(rows, region.primitive, region.evidence))
         seeds[rows] = False
         if seeds.any():
-            depth[seeds] = np.minimum(depth[seeds], cKDTree(points[rows]).query(points[seeds])[0])
+            depth[seeds] = np.minimum(depth[seeds], KDTree(points[rows]).query(points[seeds])[0])
     return regions
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int32
 
 from jprimfit.fitting import assignment, growing, kinds, local
 from jprimfit.fitting.merging import Surface
-from jprimfit.types import Primitive
+from jprimfit.types import Cylinder, Primitive
 
 ROUNDS = 2  # of assignment and refit
 MIN_CORE = 12  # smooth points from which a surface is refitted without those beside edges
@@ -22,7 +22,7 @@ class Segmentation(NamedTuple):
     """The faces of a cloud, their primitives, and the noise they were fitted under."""
 
     labels: Int32[np.ndarray, " n"]  # face of each point, -1 = none
-    primitives: tuple[Primitive, ...]  # one per face; faces of one surface hold the same one
+    primitives: tuple[Primitive, ...]  # one per face; faces of one surface hold the same one, but for its gauge
     surface_of: Int32[np.ndarray, " f"]  # surface of each face
     normals: Float64[np.ndarray, "n 3"]  # unit, of either sign
     distances: Float64[np.ndarray, " n"]  # >= 0, to the primitive of the label; NaN where it is -1
@@ -49,14 +49,23 @@ def refine(
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     faces, surface_of = assignment.faces(points, described, labels)
-    primitives = tuple(surfaces[number].primitive for number in surface_of)
+    primitives = []
     distances = np.full(len(points), np.nan)
-    for number, primitive in enumerate(primitives):
+    for number, surface in enumerate(surface_of):
         rows = np.flatnonzero(faces == number)
-        distances[rows] = kinds.distances(primitive, points[rows])
+        primitives.append(_centred(surfaces[surface].primitive, points[rows].mean(axis=0)))
+        distances[rows] = kinds.distances(primitives[-1], points[rows])
     # Surfaces that lost all their faces leave no gap in the numbers.
     surface_of = np.unique(surface_of, return_inverse=True)[1].astype(np.int32)
-    return Segmentation(faces, primitives, surface_of, described.normal, distances, described.noise)
+    return Segmentation(faces, tuple(primitives), surface_of, described.normal, distances, described.noise)
+
+
+def _centred(primitive: Primitive, mean: Float64[np.ndarray, "3"]) -> Primitive:
+    """The primitive with the center of a cylinder moved along the axis to the point nearest the mean of its face."""
+    if not isinstance(primitive, Cylinder):
+        return primitive
+    axis, center = np.asarray(primitive.axis), np.asarray(primitive.center)
+    return primitive._replace(center=center + axis * np.dot(mean - center, axis))
 
 
 def _refit(points, described: local.LocalSurface, labels, number: int, before: Surface) -> Surface:
