@@ -2,9 +2,10 @@
 
 From a seed patch deep inside a smooth area each kind of primitive is fitted and grown: refit, take every point that
 lies within the tolerance of the surface, agrees with its normal and is connected to the patch through smooth ("core")
-points, until the region no longer changes. The kind that explains most points wins, with a handicap for its degrees
-of freedom, since a cone can always pose as a cylinder and a cylinder as a plane. The next seed is the deepest point
-left (region growing: Besl and Jain 1988; core and border points: Ester et al. 1996). Points beside an edge are not
+points, until the region no longer changes. The first kind that grows is the start; another that fits its region
+significantly better is grown from there and wins by the evidence of what it explains, with a handicap for its freedom,
+since a cone can always pose as a cylinder and a cylinder as a plane. The next seed is the deepest point left
+(region growing: Besl and Jain 1988; core and border points: Ester et al. 1996). Points beside an edge are not
 core; a region only claims those it explains, and another region may claim them too. Host code around the jitted fits
 of fitting/kinds. Lengths in the normalised frame. n points, k neighbours.
 """

@@ -297,7 +297,7 @@ def test_folders_and_lists(tmp_path, make_part):
     [
         (b"absent.h5\n", "which is not in"),
         (b"../some.h5\n", "not as a file"),
-        (b"/tmp/some.h5\n", "not as a file"),
+        (b"/elsewhere/some.h5\n", "not as a file"),
         (b"some.h5\nsome.h5\n", "twice"),
         (b"some.txt\n", "not as a file"),
         (b"\xff\xfe\x00", "is not text"),
