@@ -75,3 +75,29 @@ class Discrepancy(NamedTuple):
     direction: Float[Any, ""]  # angle between normals or axes, radians; 0 for spheres
     position: Float[Any, ""]  # length: offsets of planes, centres, apexes, or distance between the axes of cylinders
     size: Float[Any, ""]  # radii (length) or half-angles (radians); 0 for planes
+
+
+class Prediction(NamedTuple):
+    """What a network says of each of n points. A head that it lacks leaves None."""
+
+    normals: Float[Any, "n 3"]  # unit, of either sign
+    type_logits: Float[Any, "n 4"]  # in the order of primitives/table.KINDS
+    features: Float[Any, "n c"]  # of the last shared layer: what a classifier of whole segments pools
+    membership_logits: Float[Any, "n s"] | None = None  # head "slots": before the softmax over s slots
+    embedding: Float[Any, "n e"] | None = None  # head "prototype": points of one instance lie close together
+    segment_type_logits: Float[Any, "s 4"] | None = None  # types "pooled": of the segments the network was asked for
+
+
+class Truth(NamedTuple):
+    """What is known of n points and of the instances they lie on, i of them at most.
+
+    An instance k without any point among the n still counts (field.md, 3.3) as long as instance_mask[k] is True.
+    """
+
+    mask: Bool[Any, "n"]  # False = padding
+    normals: Float[Any, "n 3"]  # unit, of the clean surface
+    labels: Int[Any, "n"]  # int32, instance of each point; -1 = background or padding
+    instance_mask: Bool[Any, "i"]  # True = an instance, False = padding
+    kind: Int[Any, "i"]  # int32, position in primitives/table.KINDS; 0 in padding
+    axis: Float[Any, "i 3"]  # plane normal, axis of cylinder or cone, unit; 0 for spheres and padding
+    samples: Float[Any, "i m 3"]  # clean points uniform on each instance's surface; m may be 0 where no loss needs them

@@ -41,6 +41,9 @@ def within(neighbors: Neighbors, *, max_radius: float) -> Groups:
     Rows must be ordered by distance. What drops out becomes padding as in Neighbors; count becomes the number that
     is left, so it never exceeds k.
     """
+    if neighbors.index.shape[1] == 0:  # no groups were asked for
+        none = neighbors._replace(count=jnp.zeros(len(neighbors.index), jnp.int32))
+        return Groups(none, jnp.zeros(len(neighbors.index), neighbors.sq_distance.dtype))
     mask = neighbors.mask & (neighbors.sq_distance < max_radius**2)
     # Rows are ordered by distance, so a row that keeps anything keeps its first neighbour.
     some = mask[:, :1]

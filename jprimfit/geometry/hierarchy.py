@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jprimfit.geometry.density import gaussian_density
@@ -32,7 +33,7 @@ class HierarchySpec:
 
     num_points: tuple[int, ...] = (1024, 256, 64, 36)  # of level l + 1, not increasing
     encoder_neighbors: tuple[int, ...] = (32, 32, 32, 32)  # in a group of level l around a point of level l + 1
-    decoder_neighbors: tuple[int, ...] = (16, 16, 16, 16)  # in a group of level l around a point of level l
+    decoder_neighbors: tuple[int, ...] = (16, 16, 16, 16)  # in a group of level l around a point of level l; 0 = none
     density_neighbors: tuple[int, ...] = (32, 32, 32, 32)  # at most, in the mean that is the density of level l
     density_radius: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
     density_variance: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
@@ -67,6 +68,22 @@ class Hierarchy(NamedTuple):
     interpolation: tuple[InterpolationWeights, ...]  # per step: from the points of level l + 1 to those of level l
 
 
+class IndexSets(NamedTuple):
+    """What has to be stored of a hierarchy to have it again: everything else follows from the points.
+
+    Rows are uint16 where every level has at most 65,536 points, int32 otherwise. A column beyond a group's count is
+    padding, and repeats the first.
+    """
+
+    index: tuple[Int[Array, "m"], ...]  # per step: as Hierarchy.index
+    encoder_index: tuple[Int[Array, "m k"], ...]  # per step: the index of Hierarchy.encoder_groups
+    encoder_count: tuple[Int[Array, "m"], ...]  # per step: valid columns of each row, uint8 or int32
+    decoder_index: tuple[Int[Array, "n k"], ...]
+    decoder_count: tuple[Int[Array, "n"], ...]
+    interpolation_index: tuple[Int[Array, "n 3"], ...]
+    density: tuple[Float[Array, "n"], ...]  # float32, as Hierarchy.density
+
+
 class Searches(NamedTuple):
     """What a hierarchy is assembled from: the answers of the searches, by whatever means they were found."""
 
@@ -88,6 +105,66 @@ def build(points: Float[Array, "n 3"], point_mask: Bool[Array, "n"] | None = Non
         own.append(knn(clouds[step], clouds[step], masks[step], k=spec.own_neighbors(step)))
         coarse.append(knn(clouds[step], clouds[step + 1], masks[step + 1], k=NUM_INTERPOLATED))
     return assemble(points, mask, Searches(sample, tuple(own), tuple(coarse)), spec=spec)
+
+
+def index_sets(hierarchy: Hierarchy) -> IndexSets:
+    """What to store of a hierarchy of NumPy arrays; rotation does not change it."""
+    small = max(len(points) for points in hierarchy.points) <= 1 << 16
+
+    def rows(index: Array) -> np.ndarray:
+        return np.asarray(index, np.uint16 if small else np.int32)
+
+    def counts(groups: Neighbors) -> np.ndarray:
+        widest = groups.mask.shape[1]
+        return np.asarray(np.sum(groups.mask, axis=1), np.uint8 if widest < 256 else np.int32)
+
+    return IndexSets(
+        tuple(rows(index) for index in hierarchy.index),
+        tuple(rows(groups.index) for groups in hierarchy.encoder_groups),
+        tuple(counts(groups) for groups in hierarchy.encoder_groups),
+        tuple(rows(groups.index) for groups in hierarchy.decoder_groups),
+        tuple(counts(groups) for groups in hierarchy.decoder_groups),
+        tuple(rows(weights.index) for weights in hierarchy.interpolation),
+        tuple(np.asarray(density, np.float32) for density in hierarchy.density),
+    )
+
+
+def from_index_sets(
+    points: Float[Array, "n 3"], sets: IndexSets, point_mask: Bool[Array, "n"] | None = None
+) -> Hierarchy:
+    """The hierarchy of a cloud whose index sets are known: gathers and differences only, no search. Jittable.
+
+    points may be moved rigidly since the sets were built.
+    """
+    clouds = [points]
+    masks = [jnp.ones(len(points), bool) if point_mask is None else point_mask]
+    encoder, decoder, interpolation = [], [], []
+    for step, rows in enumerate(sets.index):
+        rows = rows.astype(jnp.int32)
+        found = masks[-1][rows] & ((jnp.arange(len(rows)) == 0) | (rows != rows[0]))
+        clouds.append(clouds[-1][rows])
+        masks.append(found)
+        encoder.append(_groups(clouds[step + 1], clouds[step], sets.encoder_index[step], sets.encoder_count[step]))
+        decoder.append(_groups(clouds[step], clouds[step], sets.decoder_index[step], sets.decoder_count[step]))
+        coarse = sets.interpolation_index[step].astype(jnp.int32)
+        sq_distance = jnp.sum(jnp.square(clouds[step][:, None, :] - clouds[step + 1][coarse]), axis=2)
+        # A level of one or two points fills its three places with copies of the first.
+        mask = masks[-1][coarse] & ((jnp.arange(coarse.shape[1])[None, :] == 0) | (coarse != coarse[:, :1]))
+        interpolation.append(from_neighbors(Neighbors(coarse, sq_distance, mask, jnp.sum(mask, axis=1))))
+    index = tuple(rows.astype(jnp.int32) for rows in sets.index)
+    return Hierarchy(
+        tuple(clouds), tuple(masks), index, tuple(encoder), tuple(decoder), sets.density, tuple(interpolation)
+    )
+
+
+def _groups(
+    queries: Float[Array, "m 3"], points: Float[Array, "n 3"], index: Int[Array, "m k"], count: Int[Array, "m"]
+) -> Neighbors:
+    """Neighbourhoods whose rows are known."""
+    index, count = index.astype(jnp.int32), count.astype(jnp.int32)
+    sq_distance = jnp.sum(jnp.square(points[index] - queries[:, None, :]), axis=2)
+    mask = jnp.arange(index.shape[1])[None, :] < count[:, None]
+    return Neighbors(index, sq_distance, mask, count)
 
 
 def levels(
