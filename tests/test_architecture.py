@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = [
     {"types"},
-    {"geometry", "checks"},
+    {"geometry", "checks", "settings"},
     {"solvers", "networks"},
     {"primitives"},
     {"preprocessing", "fitting", "cad", "io"},
