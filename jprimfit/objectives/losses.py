@@ -89,7 +89,7 @@ def _membership_terms(prediction, truth, points, config) -> dict[str, Float[Arra
 def miou_loss(
     columns: Float[Array, "n i"], own: Float[Array, "n i"], instance_mask: Bool[Array, " i"]
 ) -> Float[Array, ""]:
-    """Mean over the instances of 1 - relaxed IoU of the matched column; without match or points an instance counts 1."""
+    """Mean over the instances of 1 - relaxed IoU of the matched column; an instance without match counts 1."""
     return _mean(1 - matching.own_iou(own, columns), instance_mask)
 
 
