@@ -194,13 +194,13 @@ def assemble(
     clouds, masks, index = levels(points, point_mask, searches.sample, spec=spec)
     encoder, decoder, density = [], [], []
     for step, own in enumerate(searches.own):
-        around = _rows(_nearest(own, k=spec.encoder_neighbors[step]), index[step])
-        among = _nearest(own, k=spec.decoder_neighbors[step])
+        around = _rows(nearest(own, k=spec.encoder_neighbors[step]), index[step])
+        among = nearest(own, k=spec.decoder_neighbors[step])
         encoder.append(within(around, max_radius=spec.max_radius[step]).neighbors)
         decoder.append(within(among, max_radius=spec.max_radius[step]).neighbors)
         density.append(
             gaussian_density(
-                _nearest(own, k=spec.density_neighbors[step]),
+                nearest(own, k=spec.density_neighbors[step]),
                 variance=spec.density_variance[step],
                 radius=spec.density_radius[step],
             )
@@ -209,7 +209,7 @@ def assemble(
     return Hierarchy(clouds, masks, index, tuple(encoder), tuple(decoder), tuple(density), weights)
 
 
-def _nearest(neighbors: Neighbors, *, k: int) -> Neighbors:
+def nearest(neighbors: Neighbors, *, k: int) -> Neighbors:
     """The first k columns."""
     return Neighbors(neighbors.index[:, :k], neighbors.sq_distance[:, :k], neighbors.mask[:, :k], neighbors.count)
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float32, Float64, Num
 from scipy.spatial import KDTree
 
-from jprimfit.geometry.hierarchy import NUM_INTERPOLATED, Hierarchy, HierarchySpec, Searches, assemble, levels
+from jprimfit.geometry.hierarchy import NUM_INTERPOLATED, Hierarchy, HierarchySpec, Searches, assemble, levels, nearest
 from jprimfit.geometry.sampling import optimised_farthest_points
 from jprimfit.types import Neighbors
 
@@ -113,11 +113,18 @@ def pca_normals(
 
 
 def build_hierarchy(
-    points: Float32[np.ndarray, "n 3"], point_mask: Bool[np.ndarray, "n"] | None = None, *, spec: HierarchySpec
+    points: Float32[np.ndarray, "n 3"],
+    point_mask: Bool[np.ndarray, "n"] | None = None,
+    *,
+    spec: HierarchySpec,
+    neighbors: Neighbors | None = None,
+    workers: int = -1,
 ) -> Hierarchy:
     """The hierarchy of one cloud with kd-tree searches: faster than hierarchy.build on a CPU, for a loader to cache.
 
     The same arrays (as NumPy) as hierarchy.build gives, except where squared distances tie within 1e-6 relative.
+    neighbors: those of the points among themselves, spec.own_neighbors(0) or more, if already known. workers: threads
+    of the searches, -1 = all cores.
     """
     mask = np.ones(len(points), bool) if point_mask is None else point_mask
     with _on_cpu():
@@ -125,8 +132,13 @@ def build_hierarchy(
         own, coarse = [], []
         for step in range(spec.num_steps):
             fine, fine_mask = level_points[step], level_masks[step]
-            own.append(knn(fine, fine, fine_mask, k=spec.own_neighbors(step)))
-            coarse.append(knn(fine, level_points[step + 1], level_masks[step + 1], k=NUM_INTERPOLATED))
+            if step == 0 and neighbors is not None:
+                own.append(nearest(neighbors, k=spec.own_neighbors(0)))
+            else:
+                own.append(knn(fine, fine, fine_mask, k=spec.own_neighbors(step), workers=workers))
+            coarse.append(
+                knn(fine, level_points[step + 1], level_masks[step + 1], k=NUM_INTERPOLATED, workers=workers)
+            )
         searches = Searches(sample, tuple(own), tuple(coarse))
         return jax.device_get(_assemble(points, mask, searches, spec=spec))
 
