@@ -111,7 +111,7 @@ def index_sets(hierarchy: Hierarchy) -> IndexSets:
     """What to store of a hierarchy of NumPy arrays; rotation does not change it."""
     small = max(len(points) for points in hierarchy.points) <= 1 << 16
 
-    def rows(index: Array) -> np.ndarray:
+    def rows(index: np.ndarray) -> np.ndarray:
         return np.asarray(index, np.uint16 if small else np.int32)
 
     def counts(groups: Neighbors) -> np.ndarray:
