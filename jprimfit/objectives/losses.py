@@ -65,7 +65,7 @@ def _membership_terms(prediction, truth, points, config) -> dict[str, Float[Arra
             terms["prototype"] = prototypes.cross_entropy(found, own)
         if config.spread:
             terms["spread"] = prototypes.spread(found, own)
-        membership = columns = prototypes.membership_of(found, truth.mask)
+        membership = columns = prototypes.membership_of(found, own)
     elif prediction.membership_logits is not None:
         membership = memberships.of_logits(prediction.membership_logits, truth.mask)
         columns = None

@@ -43,9 +43,14 @@ def prototypes(
     return Prototypes(centers, present, jax.nn.log_softmax(logits, axis=1), sq_distance)
 
 
-def membership_of(found: Prototypes, mask: Bool[Array, " n"]) -> Float[Array, "n i"]:
-    """Probability of every point to belong to every true instance; padding, and all if none is present, are zero."""
-    return jnp.where(mask[:, None] & found.present[None, :], jnp.exp(found.log_membership), 0)
+def membership_of(found: Prototypes, membership: Float[Array, "n i"]) -> Float[Array, "n i"]:
+    """Probability of every point that has an instance to belong to each of them; zero rows for all other points.
+
+    Background stays out, because a softmax over the true instances leaves it no place to go: it would be shared out
+    among them and spoil their fits.
+    """
+    has_instance = jnp.sum(membership, axis=1) > 0
+    return jnp.where(has_instance[:, None] & found.present[None, :], jnp.exp(found.log_membership), 0)
 
 
 def cross_entropy(found: Prototypes, membership: Float[Array, "n i"]) -> Float[Array, ""]:
