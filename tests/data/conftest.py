@@ -84,6 +84,39 @@ def _assert_equal(left, right, path=""):
         assert left == right, path
 
 
+def _drilled_block(radius=0.4, height=0.5, /, *, facets=48, background=False, **fields):
+    """Planes 0 to 5 (top, bottom, +x, +y, -x, -y) and cylinder 6, its axis z; +x may be background instead."""
+    turn = 2 * np.pi * np.arange(facets) / facets
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    square = ring / np.abs(ring).max(axis=1, keepdims=True)
+    loops = [np.column_stack([loop, np.full(facets, z)]) for loop in (radius * ring, square) for z in (-height, height)]
+    low_hole, high_hole, low_side, high_side = (number * facets + np.arange(facets) for number in range(4))
+    side = 2 + np.floor((turn + np.pi / 4 + np.pi / facets) / (np.pi / 2)).astype(int) % 4
+    faces, labels = [], []
+
+    def strip(first, second, label):  # quads between two rings
+        following = np.roll(first, -1), np.roll(second, -1)
+        for corners in ((first, following[0], following[1]), (first, following[1], second)):
+            faces.append(np.stack(corners, axis=1))
+            labels.append(np.broadcast_to(label, (facets,)))
+
+    strip(high_side, high_hole, 0)
+    strip(low_hole, low_side, 1)
+    strip(low_side, high_side, np.where((side == 2) & background, -1, side))
+    strip(high_hole, low_hole, 6)
+    x, y, z = np.eye(3)
+    planes = [Plane(z, height), Plane(z, -height), *(Plane(axis, sign) for sign in (1.0, -1.0) for axis in (x, y))]
+    mesh = Mesh(np.concatenate(loops), np.concatenate(faces).astype(np.int32), np.concatenate(labels).astype(np.int32))
+    primitives = (*planes, Cylinder(z, np.zeros(3), radius))
+    return Part(**{"name": f"block {radius} {height}", "primitives": primitives, "mesh": mesh} | fields)
+
+
+@pytest.fixture(scope="session")
+def drilled_block():
+    """drilled_block(radius, half height, facets=..., background=..., **fields of Part) -> Part with a mesh."""
+    return _drilled_block
+
+
 @pytest.fixture(scope="session")
 def make_part():
     """make_part(seed, forms=..., points=..., samples=..., dtype=..., **fields of Part) -> Part."""
