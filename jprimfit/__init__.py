@@ -5,11 +5,13 @@ when first used, so that `import jprimfit` costs nothing.
 """
 
 from importlib import import_module
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from jprimfit.networks.weights import Model
     from jprimfit.pipeline import fit
     from jprimfit.scene import Scene
     from jprimfit.types import Cone, Cylinder, Plane, Sphere
@@ -23,12 +25,12 @@ _HOMES = {
 }
 
 
-def load_model(name_or_dir: str) -> Any:
-    """The network of that name or folder; none is shipped yet."""
-    raise ValueError(
-        f"no network is shipped yet, so '{name_or_dir}' cannot be loaded: "
-        "call jprimfit.fit, which works without one, by region growing."
-    )
+def load_model(name_or_dir: "str | PathLike[str]") -> "Model":
+    """The network of that name ("default" is shipped), in that folder or of that path without suffix, checked.
+
+    A folder may be the workdir of a training. ValueError of one sentence if there is none or it is damaged.
+    """
+    return import_module("jprimfit.networks.weights").load(name_or_dir)
 
 
 def __getattr__(name: str) -> Any:
