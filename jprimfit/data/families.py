@@ -16,8 +16,9 @@ Family = Callable[[np.random.Generator], Solid]
 
 TRAIN = (
     *("random_solid", "aligned_solid", "random_profile"),
-    *("stepped_shaft", "collar", "flange", "pulley", "bushing", "nozzle", "ball_stud", "dome_cap"),
+    *("stepped_shaft", "collar", "flange", "pulley", "bushing", "nozzle", "ball_stud", "dome_cap", "round_pin"),
     *("bracket", "drilled_plate", "hex_nut", "stepped_block", "lever", "hinge", "rounded_prism", "hub_plate"),
+    "dimpled_plate",
 )
 VALIDATION = ("clevis", "pillow_block", "slotted_profile", "taper_plug")
 TEST = (

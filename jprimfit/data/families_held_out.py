@@ -261,8 +261,9 @@ def valve_body(draw: np.random.Generator) -> Solid:
     ]
     if chance(draw, 0.7):
         size = (wide - pipe) * 0.28
-        hole = cylinder(size, 4, ((wide + pipe) / 2, 0, -2))
-        cuts += [place(piece, along="x") for piece in ring(hole, int(draw.integers(3, 6)), draw.uniform(0, 1))]
+        hole = cylinder(size, thick * 1.4, ((wide + pipe) / 2, 0, 1 - thick * 1.2))
+        for along in ("x", "-x"):
+            cuts += [place(piece, along=along) for piece in ring(hole, int(draw.integers(3, 6)), draw.uniform(0, 1))]
     return difference(solid, *cuts)
 
 

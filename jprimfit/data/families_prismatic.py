@@ -5,7 +5,7 @@ A family is a function of a random generator that gives a solid about 2 units lo
 
 import numpy as np
 
-from jprimfit.data.families_turned import chance, turned
+from jprimfit.data.families_turned import chance, drill_end, turned
 from jprimfit.data.shapes import (
     box,
     cylinder,
@@ -18,9 +18,11 @@ from jprimfit.data.shapes import (
     regular,
     ring,
     rotate,
+    sphere,
     stadium,
     tangent_hull,
 )
+from jprimfit.data.shapes import cone as frustum
 from jprimfit.data.solids import Solid, difference, intersection, union
 
 
@@ -69,7 +71,16 @@ def drilled_plate(draw: np.random.Generator) -> Solid:
     style = draw.choice(["through", "countersink", "counterbore", "blind"])
     for a, b in spots:
         if style == "blind":
-            cuts.append(place(drill(size, thick * 0.5, 1.03), (a, b, 0)))
+            cuts.append(
+                place(
+                    drill(
+                        size,
+                        thick * 0.5 if thick > 2 * size else thick * 0.2,
+                        drill_end(draw) if thick > 2 * size else 0.0,
+                    ),
+                    (a, b, 0),
+                )
+            )
         else:
             cuts.append(place(drill(size, 1.0, 0.0, size * 0.5 * (style == "countersink")), (a, b, 0)))
         if style == "counterbore":
@@ -85,7 +96,7 @@ def drilled_plate(draw: np.random.Generator) -> Solid:
             cuts.append(extrude(stadium(middle * 1.4, middle * 0.4), 2, -1))
         case "boss":
             solid = union(solid, cylinder(middle, draw.uniform(0.1, 0.5) + thick, (0, 0, -thick * 0.5)))
-            cuts.append(place(drill(middle * 0.5, 0.3, 1.03), (0, 0, 0.6)))
+            cuts.append(place(drill(middle * 0.5, 0.3, drill_end(draw)), (0, 0, 0.6)))
             cuts.append(cylinder(middle * 0.5, 2, (0, 0, -thick * draw.uniform(0.1, 0.4))))
     return difference(solid, *cuts)
 
@@ -150,12 +161,16 @@ def stepped_block(draw: np.random.Generator) -> Solid:
                 cuts.append(cylinder(min(size, low * 0.35), 4, (x, -2, low * 0.5), "y"))
             case "blind":
                 top = levels[int(np.searchsorted(cut, x))]
-                cuts.append(place(drill(size, top * 0.5, 1.03), (x, 0, top)))
+                cuts.append(place(drill(size, top * 0.5, drill_end(draw)), (x, 0, top)))
             case "slot":
                 cuts.append(box((draw.uniform(0.1, 0.35), 4, 2), (x, 0, height * draw.uniform(0.15, 0.3) + 1)))
             case "end":
                 cuts.append(
-                    place(drill(min(size, levels[0] * 0.3), draw.uniform(0.2, 0.6), 1.03), (-1, 0, levels[0] / 2), "-x")
+                    place(
+                        drill(min(size, levels[0] * 0.3), draw.uniform(0.2, 0.6), drill_end(draw)),
+                        (-1, 0, levels[0] / 2),
+                        "-x",
+                    )
                 )
     return difference(solid, *cuts)
 
@@ -231,7 +246,9 @@ def rounded_prism(draw: np.random.Generator) -> Solid:
     else:
         cuts.append(
             place(
-                drill(draw.uniform(0.12, 0.3), height * draw.uniform(0.3, 0.8), 1.03, 0.05 * chance(draw, 0.5)),
+                drill(
+                    draw.uniform(0.12, 0.3), height * draw.uniform(0.3, 0.8), drill_end(draw), 0.05 * chance(draw, 0.5)
+                ),
                 (0, 0, height),
             )
         )
@@ -265,3 +282,34 @@ def hub_plate(draw: np.random.Generator) -> Solid:
         place(drill(bore, tall * 0.6 if chance(draw, 0.5) else 4.0, 1.03 * chance(draw, 0.5)), (0, 0, thick + tall))
     )
     return difference(solid, *cuts)
+
+
+def dimpled_plate(draw: np.random.Generator) -> Solid:
+    """A plate or a disc with rows of ball dimples, conical pits, domes and pegs."""
+    thick = draw.uniform(0.15, 0.5)
+    across = int(draw.integers(1, 4))
+    along = int(draw.integers(max(2, across), 5))
+    pitch = 2 / along
+    wide = pitch * across
+    if across == along and chance(draw, 0.6):
+        solid: Solid = cylinder(1.3, thick, (0, 0, -thick))
+    else:
+        solid = extrude(rectangle(2, wide, pitch * 0.2 * chance(draw, 0.5)), thick, -thick)
+    kinds = draw.choice(["dimple", "dome", "pit", "peg", "none"], p=[0.4, 0.25, 0.15, 0.1, 0.1], size=2)
+    size = pitch * draw.uniform(0.2, 0.4)
+    for place_number in range(along * across):
+        i, j = divmod(place_number, across)
+        spot = (-1 + pitch * (i + 0.5), pitch * (j + 0.5) - wide / 2)
+        high = draw.uniform(0.1, 0.5) * size
+        match kinds[(i + j) % 2]:
+            case "dimple":
+                depth = min(size * 0.6, thick * 0.7)
+                solid = difference(solid, sphere(size, (*spot, size - depth)))
+            case "dome":
+                solid = union(solid, sphere(size, (*spot, -high)))
+            case "pit":
+                fall = min(size, thick * 0.8)
+                solid = difference(solid, place(frustum(0.0, size * 1.1, fall * 1.1), (*spot, -fall)))
+            case "peg":
+                solid = union(solid, cylinder(size * 0.6, high + 0.3, (*spot, -0.05)))
+    return solid

@@ -13,7 +13,7 @@ from jprimfit.data.solids import Solid, difference, union
 def _block(draw: np.random.Generator, size: float) -> Solid:
     """One of the building blocks about its centre, about size long."""
     a, b, c = (size * draw.uniform(0.4, 1.0, 3)).tolist()
-    match draw.choice(["box", "cylinder", "cone", "sphere", "prism"], p=[0.36, 0.28, 0.16, 0.12, 0.08]):
+    match draw.choice(["box", "cylinder", "cone", "sphere", "prism"], p=[0.3, 0.28, 0.18, 0.2, 0.04]):
         case "box":
             return box((a, b, c))
         case "cylinder":

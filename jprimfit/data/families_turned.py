@@ -7,6 +7,7 @@ no two parts are alike.
 import numpy as np
 
 from jprimfit.data.shapes import (
+    Profile,
     box,
     cylinder,
     disc,
@@ -21,12 +22,37 @@ from jprimfit.data.shapes import (
     sphere,
 )
 from jprimfit.data.shapes import cone as frustum
-from jprimfit.data.solids import Solid, difference, intersection, union
+from jprimfit.data.solids import Solid, difference, union
 
 
 def chance(draw: np.random.Generator, probability: float) -> bool:
     """True with this probability."""
     return bool(draw.random() < probability)
+
+
+def domed(points: list[tuple[float, float]], bottom: float, top: float) -> Solid:
+    """The solid of revolution of an outline from low to high, closed by balls of these radii (0 = by planes).
+
+    A ball as large as its end makes a half ball that continues a cylinder smoothly.
+    """
+    outline, sweeps = list(points), [0.0] * len(points)
+    for ball, row, side in ((bottom, 0, -1), (top, len(points) - 1, 1)):
+        radius, height = points[row]
+        rise = ball - float(np.sqrt(ball**2 - radius**2)) if ball else 0.0
+        sweep = float(np.arcsin(radius / ball)) if ball else 0.0
+        if side < 0:
+            outline.insert(0, (0.0, height - rise))
+            sweeps.insert(0, sweep)
+        else:
+            sweeps[-1] = sweep
+            outline.append((0.0, height + rise))
+            sweeps.append(0.0)
+    return revolve(Profile(np.array(outline), np.array(sweeps)))
+
+
+def drill_end(draw: np.random.Generator) -> float:
+    """The end of a blind hole, for shapes.drill: a cone of 118 degrees, a half ball, or flat."""
+    return float(draw.choice([1.03, -1.0, 0.0], p=[0.55, 0.3, 0.15]))
 
 
 def turned(points: list[tuple[float, float]], radius: float | list[float] = 0.0) -> Solid:
@@ -76,8 +102,12 @@ def stepped_shaft(draw: np.random.Generator) -> Solid:
         else:
             cuts.append(cylinder(radius * draw.uniform(0.25, 0.5), 2, (-1, 0, middle), "x"))
     if chance(draw, 0.4):
-        hole = drill(float(radii[-1]) * draw.uniform(0.3, 0.6), draw.uniform(0.1, 0.3), draw.uniform(0.9, 1.1))
+        hole = drill(float(radii[-1]) * draw.uniform(0.3, 0.6), draw.uniform(0.1, 0.3), drill_end(draw))
         cuts.append(place(hole, (0, 0, 2.0)))
+    if chance(draw, 0.25):
+        size = float(radii[0])
+        ball = size * draw.uniform(1.0, 1.8)
+        solid = union(solid, sphere(ball, (0, 0, float(np.sqrt(ball**2 - (0.9 * size) ** 2)))))
     return difference(solid, *cuts)
 
 
@@ -251,18 +281,12 @@ def dome_cap(draw: np.random.Generator) -> Solid:
     """Caps and bowls: a wall closed by a part of a sphere, solid or hollow, with a rim, holes and a flat or a stud."""
     radius, wall = draw.uniform(0.5, 1.0), draw.uniform(0.06, 0.2)
     height, ball = draw.uniform(0.1, 0.9), radius * draw.uniform(1.0, 1.5)
-    drop = float(np.sqrt(max(ball**2 - radius**2, 0.0)))
-    outer = union(
-        cylinder(radius, height + 0.001),
-        intersection(sphere(ball, (0, 0, height - drop)), cylinder(radius, 4, (0, 0, height))),
-    )
-    solid = outer
+    drop = float(np.sqrt(ball**2 - radius**2))
+    solid = domed([(radius, 0.0), (radius, height)], 0.0, ball)
     if chance(draw, 0.7):
-        inner = union(
-            cylinder(radius - wall, height + 1, (0, 0, -1)),
-            intersection(sphere(ball - wall, (0, 0, height - drop)), cylinder(radius - wall, 4, (0, 0, height - 0.01))),
-        )
-        solid = difference(solid, inner)
+        inside = radius - wall
+        shift = float(np.sqrt((ball - wall) ** 2 - inside**2)) - drop
+        solid = difference(solid, domed([(inside, -1.0), (inside, height + shift)], 0.0, ball - wall))
     if chance(draw, 0.6):
         wide, thick = radius * draw.uniform(1.15, 1.5), draw.uniform(0.08, 0.25)
         middle = radius - wall / 2
@@ -281,3 +305,25 @@ def dome_cap(draw: np.random.Generator) -> Solid:
         )
         solid = union(solid, foot)
     return solid
+
+
+def round_pin(draw: np.random.Generator) -> Solid:
+    """Pins and rollers with half-ball or shallow domed ends, ball collars, tapered or stepped between."""
+    first = draw.uniform(0.15, 0.5)
+    second = first * draw.uniform(0.6, 1.0) if chance(draw, 0.5) else first
+    low, high = first * draw.uniform(0.9, 1.2), 2 - second * draw.uniform(0.9, 1.2)
+    outline = [(first, low), (second, high)]
+    if second < first and chance(draw, 0.5):
+        middle = draw.uniform(0.4, 0.6) * (low + high)
+        outline[1:1] = [(first, middle), (second, middle)]
+    balls = [size * draw.choice([0.0, 1.0, draw.uniform(1.05, 1.6)], p=[0.15, 0.45, 0.4]) for size in (first, second)]
+    solid = domed(outline, *balls)
+    if chance(draw, 0.5):
+        solid = union(solid, sphere(first * draw.uniform(1.15, 1.5), (0, 0, draw.uniform(0.7, 1.3))))
+    cuts: list[Solid] = []
+    if chance(draw, 0.5):
+        height = draw.uniform(low, high)
+        cuts.append(cylinder(second * draw.uniform(0.2, 0.5), 4, (-2, 0, height), "x"))
+    if chance(draw, 0.4):
+        cuts += ring(box((1, 4, draw.uniform(0.2, 0.5)), (second * 0.85 + 0.5, 0, 1.0)), int(draw.integers(1, 3)))
+    return difference(solid, *cuts)

@@ -16,7 +16,6 @@ from jprimfit.data.solids import Body, Solid, Surface, doubled_areas, evaluate, 
 from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
 _SAME = 1e-6  # two surfaces are one if their parameters differ by less, in the unit of a part about 2 long
-_FLAT = 1e-12  # triangles of less area (relative to the part's) are rounding
 
 
 def make_part(solid: Solid, *, min_share: float, name: str, **fields) -> Part | None:
@@ -25,7 +24,7 @@ def make_part(solid: Solid, *, min_share: float, name: str, **fields) -> Part | 
     Returns None where the solid is no single closed piece with a volume, or no instance is left. Instances are numbered
     by descending area. Further fields go to the Part as they are.
     """
-    body = _thinned(evaluate(solid))
+    body = evaluate(solid)
     if not len(body.faces) or _volume(body) <= 0 or not _is_one_piece(body):
         return None
     corners = body.vertices[body.faces]
@@ -64,16 +63,6 @@ def largest_residual(part: Part) -> float:
         distance, _ = signed_distance(primitive, part.mesh.vertices[rows].astype(np.float64))
         worst = max(worst, float(np.max(np.abs(distance), initial=0.0)))
     return worst
-
-
-def _thinned(body: Body) -> Body:
-    """The body without triangles that are rounding, and without vertices that no triangle uses."""
-    doubled = np.sqrt(np.sum(doubled_areas(body.vertices[body.faces]) ** 2, axis=1))
-    keep = doubled > _FLAT * np.sum(doubled)
-    used, faces = np.unique(body.faces[keep], return_inverse=True)
-    return body._replace(
-        vertices=body.vertices[used], faces=faces.reshape(-1, 3), surface_index=body.surface_index[keep]
-    )
 
 
 def _volume(body: Body) -> float:

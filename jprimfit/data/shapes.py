@@ -155,13 +155,19 @@ def sphere(radius: float, center: Sequence[float] = (0.0, 0.0, 0.0)) -> Solid:
 
 
 def drill(radius: float, depth: float, tip: float = 0.0, chamfer: float = 0.0) -> Body:
-    """What a drill removes that enters the plane z = 0 downwards: a cylinder, a tip of half-angle tip, a chamfer."""
-    bottom = [(0.0, -depth - radius / np.tan(tip))] if tip > 0 else [(0.0, -depth)]
+    """What a drill removes that enters the plane z = 0 downwards: a cylinder, its end, a chamfer around its mouth.
+
+    The end is flat (tip 0), a cone of half-angle tip, or a half ball (tip negative).
+    """
+    bottom = [(0.0, -depth - radius / np.tan(tip))] if tip > 0 else [(0.0, -depth - radius * (tip < 0))]
     foot, wall = (radius, -depth), [(radius, -chamfer)] if chamfer > 0 else []
     rim = radius + chamfer
     # The mouth rises above the plane (with the same cone), so that no faces of the cut coincide with the part's.
     mouth = [(rim + 0.05, 0.05), (0.0, 0.05)] if chamfer > 0 else [(radius, 0.05), (0.0, 0.05)]
-    return revolve(polygon([*bottom, foot, *wall, *mouth]))
+    outline = polygon([*bottom, foot, *wall, *mouth])
+    sweeps = outline.sweeps.copy()
+    sweeps[0] = np.pi / 2 if tip < 0 else 0.0
+    return revolve(outline._replace(sweeps=sweeps))
 
 
 def place(solid: Solid, at: Sequence[float] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:

@@ -15,7 +15,8 @@ from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
 Surface = Primitive | None
 _SETTLE_STEPS = 6
-_SETTLE_LIMIT = 0.05  # a vertex that would travel farther than this part of its surface's size stays where it is
+_SLIVER = 1e-5  # triangles of less area (in squared extents of the body) may be turned over: nobody will see them
+_SETTLE_LIMIT = 0.05  # a vertex that would travel farther than this part of the body's extent stays where it is
 
 
 class Body(NamedTuple):
@@ -188,9 +189,10 @@ def _settled(body: Body) -> Body:
 
 
 def _without_flips(body: Body, moved: np.ndarray) -> np.ndarray:
-    """The moved vertices, but the old ones at corners of triangles that the move would turn over."""
+    """The moved vertices, but the old ones at corners of triangles that the move would turn over visibly."""
     before, after = (doubled_areas(vertices[body.faces]) for vertices in (body.vertices, moved))
-    flipped = np.sum(before * after, axis=1) < 0
+    extent = np.max(np.ptp(body.vertices, axis=0))
+    flipped = (np.sum(before * after, axis=1) < 0) & (np.sum(after * after, axis=1) > (_SLIVER * extent**2) ** 2)
     stay = np.unique(body.faces[flipped])
     moved[stay] = body.vertices[stay]
     return moved
