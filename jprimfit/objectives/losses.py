@@ -4,13 +4,15 @@ The terms are SPFN's (Li et al. 2019), which the Entropy paper takes over, and t
 a mean over points or over true instances (an instance without any point here counts, too). Sums and means leave
 padding out. A term of weight 0 is not traced. n points, i true instances, s slots.
 
-Memory of the terms parameter and residue: all four kinds are fitted to all i columns, about 25 arrays (i, n, 3).
+The terms parameter and residue fit all four kinds to all i columns, which costs far more than the rest: about 100
+passes over arrays (i, n, 3) and ten of them in memory. LossConfig.fit_points lets fewer points take part.
 """
 
 import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jprimfit.geometry import safe
@@ -22,7 +24,10 @@ from jprimfit.types import Prediction, Truth
 
 @dataclasses.dataclass(frozen=True)
 class LossConfig:
-    """Weights of the terms, 0 = left out; prototype and spread are terms of the head "prototype" only."""
+    """Weights of the terms, 0 = left out; prototype and spread are terms of the head "prototype" only.
+
+    ValueError if a weight is negative or the sharpness is not positive.
+    """
 
     miou: float = 1.0
     normal: float = 1.0
@@ -34,6 +39,12 @@ class LossConfig:
     spread: float = 0.1
     total: float = 1.0  # multiplies the weighted sum
     sharpness: float = 2.0  # of the prototypes' softmax, per squared unit of the embedding
+    fit_points: int = 0  # points that parameter and residue fit to, every n / fit_points-th row; 0 = all
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            if value < 0 or (name == "sharpness" and value == 0):
+                raise ValueError(f"{name} of the losses is {value}: give a positive number, or 0 to leave a term out")
 
 
 def losses(
@@ -135,6 +146,10 @@ def orthogonality_loss(membership: Float[Array, "n s"]) -> Float[Array, ""]:
 
 def _fit_terms(columns, normals, truth, points, config) -> dict[str, Float[Array, ""]]:
     """Parameter and residue: of the primitive of the TRUE kind, fitted with the matched soft column."""
+    num_points = points.shape[0]
+    if 0 < config.fit_points < num_points:
+        rows = np.arange(config.fit_points) * num_points // config.fit_points
+        points, columns, normals = points[rows], columns[rows], normals[rows]
     surfaces, ok = fits.fit_columns(points, columns, normals)
     ok = fits.of_kind(list(ok), truth.kind)
     terms = {}

@@ -187,6 +187,25 @@ def test_fitted_terms_reach_membership_and_normals(part, make_part):
     assert not np.asarray(gradient.type_logits).any()
 
 
+def test_fits_to_fewer_points_see_every_face(part, make_part, tolerance):
+    config = LossConfig(miou=0.0, normal=0.0, type=0.0, fit_points=100)
+    terms, gradient = evaluate(part.slots, part.truth, part.points, config)
+    np.testing.assert_allclose([terms["parameter"], terms["residue"]], 0, atol=10 * tolerance["float32"])
+    _, gradient = evaluate(informed(part, make_part, "slots"), part.truth, part.points, config)
+    assert np.count_nonzero(np.abs(gradient.normals).sum(axis=1)) <= 100
+
+
+def test_a_batch_is_its_members(part, make_part, tolerance):
+    parts = [part, make_part.build(1, kinds=[2, 3, 2])]
+    config = LossConfig(parameter=0.0, residue=0.0)
+    both = [(informed(p, make_part, "slots", seed), p.truth, p.points) for seed, p in enumerate(parts)]
+    together = jax.tree.map(lambda a, b: np.stack([a, b]), *both)
+    found = jax.jit(jax.vmap(functools.partial(losses, config=config)))(*together)
+    for row, arguments in enumerate(both):
+        for name, value in evaluate(*arguments, config)[0].items():
+            np.testing.assert_allclose(found[name][row], value, atol=tolerance["float32"], err_msg=name)
+
+
 def test_gradients_agree_with_finite_differences(make_part, x64):
     part = make_part.build(dtype=np.float64)
     prediction = informed(part, make_part, "slots")
@@ -222,6 +241,9 @@ def test_a_weight_of_zero_leaves_the_work_out(part):
 
 
 def test_what_cannot_be_computed_is_said(part):
+    for wrong in ({"miou": -1.0}, {"sharpness": 0.0}, {"fit_points": -5}):
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))} of the losses is"):
+            LossConfig(**wrong)
     without = part.slots._replace(membership_logits=None)
     with pytest.raises(ValueError, match="neither membership_logits nor an embedding"):
         jax.eval_shape(functools.partial(losses, config=LossConfig()), without, part.truth, part.points)
