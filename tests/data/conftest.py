@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jprimfit.data import native
 from jprimfit.data.records import Cloud, Mesh, Part, Trims
 from jprimfit.types import Cone, Cylinder, Plane, Sphere
 
@@ -85,7 +86,7 @@ def _assert_equal(left, right, path=""):
 
 
 def _drilled_block(radius=0.4, height=0.5, /, *, facets=48, background=False, **fields):
-    """Planes 0 to 5 (top, bottom, +x, +y, -x, -y) and cylinder 6, its axis z; +x may be background instead."""
+    """Planes 0 to 5 (top, bottom, +x, +y, -x, -y) and cylinder 6, its axis z; half of +x may be background."""
     turn = 2 * np.pi * np.arange(facets) / facets
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     square = ring / np.abs(ring).max(axis=1, keepdims=True)
@@ -102,7 +103,7 @@ def _drilled_block(radius=0.4, height=0.5, /, *, facets=48, background=False, **
 
     strip(high_side, high_hole, 0)
     strip(low_hole, low_side, 1)
-    strip(low_side, high_side, np.where((side == 2) & background, -1, side))
+    strip(low_side, high_side, np.where((side == 2) & (turn < np.pi) & background, -1, side))
     strip(high_hole, low_hole, 6)
     x, y, z = np.eye(3)
     planes = [Plane(z, height), Plane(z, -height), *(Plane(axis, sign) for sign in (1.0, -1.0) for axis in (x, y))]
@@ -115,6 +116,22 @@ def _drilled_block(radius=0.4, height=0.5, /, *, facets=48, background=False, **
 def drilled_block():
     """drilled_block(radius, half height, facets=..., background=..., **fields of Part) -> Part with a mesh."""
     return _drilled_block
+
+
+@pytest.fixture(scope="session")
+def blocks(tmp_path_factory):
+    """A dataset of drilled blocks: five to train on, the second with background, and two to validate with."""
+    path = tmp_path_factory.mktemp("blocks") / "blocks.h5"
+    sizes = [(0.2 + 0.1 * number, 0.3 + 0.1 * number) for number in range(7)]
+    splits = ["train"] * 5 + ["val"] * 2
+    native.write(
+        path,
+        [
+            _drilled_block(*size, facets=16, background=number == 1, split=split)
+            for number, (size, split) in enumerate(zip(sizes, splits, strict=True))
+        ],
+    )
+    return path
 
 
 @pytest.fixture(scope="session")
