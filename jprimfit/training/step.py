@@ -1,0 +1,117 @@
+"""One step of training as one device sees it, and the answer of the network that validation looks at.
+
+The network is a function of one cloud; here it is vmapped over the clouds of a batch under the axis name "cloud",
+and "device" is the axis of training/parallel. Every random number follows from the number of the cloud in the whole
+run (step * batch size + row), never from the device it is worked on. Letters: b clouds (of this device).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import optax
+from jax import lax
+from jaxtyping import Int
+
+from jprimfit.data.examples import Example
+from jprimfit.geometry.hierarchy import from_index_sets
+from jprimfit.objectives import memberships
+from jprimfit.objectives.losses import losses
+from jprimfit.training import state as states
+from jprimfit.training.config import Config
+from jprimfit.training.parallel import AXIS
+from jprimfit.training.state import TrainState
+from jprimfit.types import Prediction
+
+CLOUD = "cloud"
+
+
+class Batch(NamedTuple):
+    """Clouds and their rows in the batch of all devices."""
+
+    example: Example  # with a leading axis b
+    row: Int[Any, "b"]  # int32
+
+
+def initial_variables(segmenter: nn.Module, example: Example, *, config: Config) -> Any:
+    """The variables before training, from the seed; example is one cloud and gives the shapes."""
+
+    @jax.jit
+    def initialise(key, example):
+        hierarchy = from_index_sets(example.points, example.sets, example.mask)
+        inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
+        return segmenter.init({"params": key}, *inputs, train=False, segments=_segments(example, config))
+
+    return initialise(jax.random.key(config.seed), example)
+
+
+def train_step(segmenter: nn.Module, *, config: Config, num_steps: int) -> Callable[..., tuple[TrainState, dict]]:
+    """The function (state, batch) -> (state, metrics) of one device, for training/parallel.
+
+    The metrics are means over the whole batch: the terms of the loss, "total", the length of the gradient, the
+    learning rate, and whether all of these are finite.
+    """
+
+    def step(state: TrainState, batch: Batch) -> tuple[TrainState, dict]:
+        slopes, batch_stats, terms = gradients(segmenter, state, batch, config=config)
+        learning_rate = states.rate(
+            state.step, config=config.optimizer, batch_size=config.train.batch_size, num_steps=num_steps
+        )
+        length = optax.global_norm(slopes)
+        finite = jnp.isfinite(terms["total"]) & jnp.isfinite(length)
+        metrics = {**terms, "gradient_norm": length, "learning_rate": learning_rate, "finite": finite}
+        return states.update(state, slopes, batch_stats, learning_rate, config=config.optimizer), metrics
+
+    return step
+
+
+def gradients(segmenter: nn.Module, state: TrainState, batch: Batch, *, config: Config) -> tuple[Any, Any, dict]:
+    """Gradients of the mean loss over the whole batch, its BatchNorm statistics and the mean of every term.
+
+    To be called where the axis "device" exists; the three are the same on every device.
+    """
+    number = state.step.astype(jnp.uint32) * config.train.batch_size + batch.row.astype(jnp.uint32)
+    keys = jax.vmap(lambda n: jax.random.fold_in(jax.random.key(config.seed + 1), n))(number)
+
+    def mean_loss(params):
+        def one(example, key):
+            return _loss(segmenter, {"params": params, "batch_stats": state.batch_stats}, example, key, config=config)
+
+        terms, batch_stats = jax.vmap(one, axis_name=CLOUD, out_axes=(0, None))(batch.example, keys)
+        terms = jax.tree.map(jnp.mean, terms)
+        return terms["total"], (batch_stats, terms)
+
+    slopes, (batch_stats, terms) = jax.grad(mean_loss, has_aux=True)(state.params)
+    return lax.pmean(slopes, AXIS), batch_stats, lax.pmean(terms, AXIS)
+
+
+def predict(segmenter: nn.Module, variables: Any, example: Example) -> Prediction:
+    """What the network says of one cloud at its queries, outside training; per-point types only."""
+    hierarchy = from_index_sets(example.points, example.sets, example.mask)
+    inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
+    return segmenter.apply(variables, *inputs, train=False)  # pyright: ignore[reportReturnType]
+
+
+def _loss(segmenter: nn.Module, variables: Any, example: Example, key: Any, *, config: Config) -> tuple[dict, Any]:
+    """The terms of one cloud, and the statistics of the batch it is part of."""
+    hierarchy = from_index_sets(example.points, example.sets, example.mask)
+    inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
+    prediction, changed = segmenter.apply(
+        variables,
+        *inputs,
+        train=True,
+        segments=_segments(example, config),
+        rngs={"dropout": key},
+        mutable=["batch_stats"],
+    )
+    seen = example.points[example.query.astype(jnp.int32)]
+    return losses(prediction, example.truth, seen, config.loss), changed.get("batch_stats", {})
+
+
+def _segments(example: Example, config: Config) -> Any:
+    """While it learns, a classifier of whole segments is asked for the true ones."""
+    if config.model.types != "pooled":
+        return None
+    return memberships.of_truth(example.truth, dtype=example.points.dtype)

@@ -1,0 +1,87 @@
+"""The folder of one run: whose it is, what may be resumed in it, and where an old run goes.
+
+config.yaml    all settings of the run          metrics.jsonl   what was measured, a line each
+checkpoints/   to resume from                   best/, last/    exported models: weights.npz and model.yaml
+"""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import yaml
+
+from jprimfit import settings
+from jprimfit.io.files import replacing
+from jprimfit.training.config import Config, forbidden_changes
+
+SETTINGS = "config.yaml"
+LOCK = ".lock"
+BEST, LAST = "best", "last"
+
+
+@contextlib.contextmanager
+def prepared(folder: Path, config: Config, *, fresh: bool) -> Iterator[None]:
+    """The folder made ready for a run with these settings, which it keeps as config.yaml, and locked.
+
+    An old run is left for resuming, unless `fresh`, which renames its folder to `<folder>.1`, `.2`, ... ValueError
+    where another training is in the folder, where the old run had other settings (see config.forbidden_changes), or
+    where the folder is none of ours.
+    """
+    if fresh and folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
+        with locked(folder):
+            pass
+        folder.rename(_free_name(folder))
+    with locked(folder):
+        _keep_settings(folder, config)
+        yield
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keeps other processes out of the folder, which is made where it is missing; ValueError where one is in it.
+
+    The lock ends with the process, however that ends. Systems without flock go without.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / LOCK, "a") as file:
+        if not _lock(file):
+            raise ValueError(f"{folder} is in use by another training: wait for it, or give another --workdir.")
+        yield
+
+
+def _keep_settings(folder: Path, config: Config) -> None:
+    record = folder / SETTINGS
+    if record.exists():
+        keys = forbidden_changes(settings.read_yaml(record), config)
+        if keys:
+            raise ValueError(
+                f"{folder} holds a run with other settings of {', '.join(keys)}: set them as they were, give another "
+                "--workdir, or --fresh to put the old run aside."
+            )
+    elif any(path.name != LOCK for path in folder.iterdir()):
+        raise ValueError(f"{folder} holds files, but no {SETTINGS} of a run: give an empty or a new --workdir.")
+    with replacing(record) as file:
+        file.write(yaml.safe_dump(settings.to_mapping(config), sort_keys=False).encode())
+
+
+def _lock(file: IO[str]) -> bool:
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True  # some network file systems have no locks
+    return True
+
+
+def _free_name(folder: Path) -> Path:
+    number = 1
+    while os.path.lexists(folder.with_name(f"{folder.name}.{number}")):
+        number += 1
+    return folder.with_name(f"{folder.name}.{number}")
