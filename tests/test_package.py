@@ -27,6 +27,24 @@ def test_names_are_found_when_used():
         _ = jprimfit.torus
 
 
-def test_no_network_is_shipped_yet():
-    with pytest.raises(ValueError, match="no network is shipped yet, so 'default' cannot be loaded"):
+def test_a_model_that_is_not_there_is_named_in_one_sentence(tmp_path):
+    with pytest.raises(ValueError, match=f"{tmp_path} holds no model: two files .* are expected there.$"):
+        jprimfit.load_model(tmp_path)
+    with pytest.raises(ValueError, match="^'nonesuch' is no model: give default or spfn"):
+        jprimfit.load_model("nonesuch")
+
+
+def test_a_shipped_model_that_is_absent_says_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr("jprimfit.networks.weights.ASSETS", tmp_path)
+    with pytest.raises(ValueError, match="^the model 'default' is not shipped with .* fit without a network.$"):
         jprimfit.load_model("default")
+
+
+def test_loading_a_model_brings_in_no_training_library():
+    code = (
+        "import sys, jprimfit\n"
+        "try: jprimfit.load_model('nonesuch')\nexcept ValueError: pass\n"
+        "print({'orbax', 'optax', 'chex', 'trimesh', 'manifold3d'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -17,7 +17,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, NoReturn
 
@@ -33,6 +32,7 @@ from jprimfit.settings import from_mapping, read_yaml, to_mapping
 
 FORMAT = "jprimfit-weights"
 VERSION = 1
+ASSETS = Path(__file__).resolve().parent.parent / "assets"
 SHIPPED = ("default", "spfn")
 EXPORTED = ("weights", "best/weights", "last/weights")  # where a training leaves models in its workdir, the best first
 MAX_YAML = 1 << 20  # bytes
@@ -157,7 +157,7 @@ def _stem(name_or_dir: str | os.PathLike[str]) -> Path:
     """Where the model lies, without suffix; one of its files exists there, or a ValueError says what is there."""
     text, path = os.fspath(name_or_dir), Path(name_or_dir)
     if text in SHIPPED:
-        stem = Path(str(resources.files("jprimfit"))) / "assets" / text
+        stem = ASSETS / text
         if not _exists(stem):
             raise ValueError(
                 f"the model '{text}' is not shipped with jprimfit {__version__}: give the folder of a model, "

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import sys
+import time
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from jax.experimental import multihost_utils
 FORMAT = "jprimfit-checkpoint"
 VERSION = 1
 SCORE = "miou"  # the metric by which a checkpoint is the best
+STRAGGLERS = 0.2  # seconds in which reads beside a failed one end
 MAX_REASON = 200  # letters of a library's message that are repeated in ours
 
 
@@ -56,7 +58,7 @@ class Checkpoints:
         self._keep_latest = keep_latest
         self._scores: dict[int, float] | None = None  # of the checkpoints on disk, read when first needed
         self._damaged: list[int] = []  # found by restore, put aside by the next save
-        if read_only and not self.folder.is_dir():
+        if (read_only or self.folder.exists()) and not self.folder.is_dir():
             raise CheckpointError(f"{folder} is no folder of checkpoints: give the workdir of a training.")
         options = ocp.CheckpointManagerOptions(
             preservation_policy=self,
@@ -197,7 +199,8 @@ class Checkpoints:
         as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in stored}
         with _sentences(f"{place} is damaged"):
             items = ocp.args.PyTreeRestore(item=stored, restore_args=as_numpy)  # pyright: ignore[reportCallIssue]
-            values = empty | self._manager.restore(step, args=ocp.args.Composite(state=items))["state"]
+            with _quiet_threads():
+                values = empty | self._manager.restore(step, args=ocp.args.Composite(state=items))["state"]
             for name, value in values.items():
                 if _described(value) != {k: leaves[name][k] for k in ("dtype", "shape")}:
                     raise ValueError(f"{name} has another shape or type than its record says")
@@ -236,6 +239,25 @@ def _sentences(what: str) -> Iterator[None]:
         reason = " ".join(words.split(" [tensorstore_spec")[0].split()).rstrip(".")
         reason = reason[:MAX_REASON] + " ..." * (len(reason) > MAX_REASON) or type(error).__name__
         raise CheckpointError(f"{what} ({reason.replace('. ', '; ')}).") from error
+
+
+@contextmanager
+def _quiet_threads() -> Iterator[None]:
+    """Drops what Python prints when one read fails and the others, still under way, report to a loop that is closed."""
+    previous = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if str(unraisable.exc_value) != "Event loop is closed":
+            previous(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    except Exception:
+        time.sleep(STRAGGLERS)
+        raise
+    finally:
+        sys.unraisablehook = previous
 
 
 def _record(step: int, leaves: Mapping[str, np.ndarray], metrics: Mapping[str, float], config: Mapping) -> dict:

@@ -32,7 +32,7 @@ def export(
     told = settings.to_mapping(config)
     del told["model"]  # stands in the YAML as the config of the network
     for section in ("data", "validation"):
-        told[section] |= {"file": Path(told[section]["file"]).name}
+        told[section] |= {key: Path(told[section][key]).name for key in ("file", "cache")}
     arrays = jax.tree.map(np.asarray, variables(state))
     place = folder.resolve()
     name = place.parent.name if place.name in ("best", "last") else place.name
