@@ -1,7 +1,7 @@
 """Which predicted segment stands for which true instance: the assignment of largest total overlap.
 
 The overlap of two columns w, v of memberships is SPFN's relaxed IoU <w, v> / (sum w + sum v - <w, v>) (Li et al. 2019),
-which is the IoU where the columns are 0 or 1. Hungarian method (Kuhn 1955) on the device. No gradient passes through
+which is the IoU where the columns are 0 or 1. The assignment is optimal (hungarian.py). No gradient passes through
 the assignment. n points, i true instances, s predicted segments.
 """
 
@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST
+from jprimfit.objectives.hungarian import assign
 
 
 def relaxed_iou(truth: Float[Array, "n i"], prediction: Float[Array, "n s"]) -> Float[Array, "i s"]:
@@ -37,15 +38,15 @@ def match(
     -1 stands at masked instances, and where there are more instances than segments at those whose loss costs least.
     A pair with IoU 0 is a match as long as a segment is left (SPFN). What is not finite counts as IoU 0.
     """
-    from optax.assignment import hungarian_algorithm
-
+    num_instances, num_segments = iou.shape
     valid = instance_mask[:, None] & segment_mask[None, :]
     gain = jnp.where(valid & jnp.isfinite(iou), iou, 0)
     # A pair that is no pair costs more than any other, so that it is taken only where nothing else is left.
-    rows, columns = hungarian_algorithm(jax.lax.stop_gradient(jnp.where(valid, -gain, 1)))
-    matched = jnp.full(iou.shape[0], -1, jnp.int32).at[rows].set(columns.astype(jnp.int32))
-    found = jnp.take_along_axis(valid, jnp.maximum(matched, 0)[:, None], axis=1)[:, 0]
-    return jnp.where((matched >= 0) & found, matched, -1)
+    cost = jax.lax.stop_gradient(jnp.where(valid, -gain, 1))
+    missing = max(num_instances - num_segments, 0)
+    column = assign(jnp.pad(cost, ((0, 0), (0, missing)), constant_values=1), instance_mask)
+    is_segment = jnp.pad(segment_mask, (0, missing))
+    return jnp.where((column >= 0) & is_segment[column], column, -1)
 
 
 def take_columns(prediction: Float[Array, "n s"], matched: Int[Array, " i"]) -> Float[Array, "n i"]:
