@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from jprimfit.geometry.density import gaussian_density
 from jprimfit.geometry.grouping import within
@@ -158,7 +158,7 @@ def from_index_sets(
 
 
 def _groups(
-    queries: Float[Array, "m 3"], points: Float[Array, "n 3"], index: Int[Array, "m k"], count: Int[Array, "m"]
+    queries: Float[Array, "m 3"], points: Float[Array, "n 3"], index: Integer[Array, "m k"], count: Integer[Array, "m"]
 ) -> Neighbors:
     """Neighbourhoods whose rows are known."""
     index, count = index.astype(jnp.int32), count.astype(jnp.int32)
