@@ -272,10 +272,11 @@ def hub_plate(draw: np.random.Generator) -> Solid:
         triangle = polygon(
             [(0.0, 0.02), (draw.uniform(0.75, 0.95), 0.02), (0.0, thick + tall * draw.uniform(0.5, 0.9))]
         )
-        rib = rotate(extrude(triangle, 0.1, -0.05), np.pi / 2, "x")
+        sheet = draw.uniform(0.1, 0.2)
+        rib = rotate(extrude(triangle, sheet, -sheet / 2), np.pi / 2, "x")
         rib = place(rib, (0, 0, thick - 0.02))
         solid = union(solid, *ring(rib, count))
-    hole = place(drill(draw.uniform(0.06, 0.12), 2.0, 0.0, 0.05 * chance(draw, 0.4)), (0.8, 0, thick))
+    hole = place(drill(draw.uniform(0.08, 0.14), 2.0, 0.0, 0.05 * chance(draw, 0.4)), (0.8, 0, thick))
     cuts = ring(hole, 4 if chance(draw, 0.7) else 3, np.pi / 4)
     bore = top * draw.uniform(0.4, 0.75)
     cuts.append(

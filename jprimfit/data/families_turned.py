@@ -4,10 +4,13 @@ A family is a function of a random generator that gives a solid about 2 units lo
 no two parts are alike.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jprimfit.data.shapes import (
     Profile,
+    Real,
     box,
     cylinder,
     disc,
@@ -30,7 +33,7 @@ def chance(draw: np.random.Generator, probability: float) -> bool:
     return bool(draw.random() < probability)
 
 
-def domed(points: list[tuple[float, float]], bottom: float, top: float) -> Solid:
+def domed(points: Sequence[Sequence[Real]], bottom: Real, top: Real) -> Solid:
     """The solid of revolution of an outline from low to high, closed by balls of these radii (0 = by planes).
 
     A ball as large as its end makes a half ball that continues a cylinder smoothly.
@@ -55,7 +58,7 @@ def drill_end(draw: np.random.Generator) -> float:
     return float(draw.choice([1.03, -1.0, 0.0], p=[0.55, 0.3, 0.15]))
 
 
-def turned(points: list[tuple[float, float]], radius: float | list[float] = 0.0) -> Solid:
+def turned(points: Sequence[Sequence[Real]], radius: Real | Sequence[Real] = 0.0) -> Solid:
     """The solid of revolution of a polygon (radius, z); radius as in shapes.polygon."""
     return revolve(polygon(points, radius))
 

@@ -15,6 +15,8 @@ from jaxtyping import Float
 from jprimfit.data.solids import Body, Solid, Surface, transform, triangulate
 from jprimfit.types import Cone, Cylinder, Plane, Sphere
 
+Real = float | int
+
 _CHORD, _ARC_CHORD = 0.002, 0.004  # largest distance of a chord from its circle: around an axis, along a turned arc
 _MIN_SEGMENTS, _MAX_SEGMENTS = 24, 72  # of a whole circle
 _AXES = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
@@ -28,7 +30,7 @@ class Profile(NamedTuple):
     sweeps: Float[np.ndarray, "k"]  # signed angle, positive = counter-clockwise, 0 = straight
 
 
-def polygon(points: Sequence[Sequence[float]], radius: float | Sequence[float] = 0.0) -> Profile:
+def polygon(points: Sequence[Sequence[Real]], radius: Real | Sequence[Real] = 0.0) -> Profile:
     """The polygon of these corners; radius, one for all or one per corner, rounds them.
 
     A corner of radius 0 stays sharp; a negative one is cut straight, a chamfer that starts -radius from the corner.
@@ -51,26 +53,27 @@ def polygon(points: Sequence[Sequence[float]], radius: float | Sequence[float] =
     return Profile(np.array(outline), np.array(sweeps))
 
 
-def regular(sides: int, across: float, radius: float = 0.0) -> Profile:
+def regular(sides: int, across: Real, radius: Real = 0.0) -> Profile:
     """The regular polygon with this distance between opposite flats (sides even)."""
     angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides
-    return polygon(across / 2 / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1), radius)  # type: ignore
+    corners = across / 2 / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return polygon(corners.tolist(), radius)
 
 
-def rectangle(width: float, height: float, radius: float = 0.0, center: Sequence[float] = (0.0, 0.0)) -> Profile:
+def rectangle(width: Real, height: Real, radius: Real = 0.0, center: Sequence[Real] = (0.0, 0.0)) -> Profile:
     """The rectangle with rounded corners about center."""
     x, y = width / 2, height / 2
     return polygon([(center[0] + a, center[1] + b) for a, b in ((-x, -y), (x, -y), (x, y), (-x, y))], radius)
 
 
-def stadium(length: float, radius: float) -> Profile:
+def stadium(length: Real, radius: Real) -> Profile:
     """Two half circles, length between their centres, along x about the origin."""
     half = length / 2
     points = np.array([(-half, -radius), (half, -radius), (half, radius), (-half, radius)])
     return Profile(points, np.array([0.0, np.pi, 0.0, np.pi]))
 
 
-def tangent_hull(first: float, second: float, distance: float) -> Profile:
+def tangent_hull(first: Real, second: Real, distance: Real) -> Profile:
     """The outline of a belt around two circles: first about the origin, second about (distance, 0)."""
     angle = float(np.arccos((first - second) / distance))
     direction = np.array([np.cos(angle), np.sin(angle)])
@@ -80,13 +83,13 @@ def tangent_hull(first: float, second: float, distance: float) -> Profile:
     return Profile(points, np.array([0.0, 2 * angle, 0.0, 2 * np.pi - 2 * angle]))
 
 
-def disc(radius: float, center: Sequence[float] = (0.0, 0.0)) -> Profile:
+def disc(radius: Real, center: Sequence[Real] = (0.0, 0.0)) -> Profile:
     """The circle."""
     x, y = center
     return Profile(np.array([(x - radius, y), (x + radius, y)]), np.array([np.pi, np.pi]))
 
 
-def extrude(profile: Profile, height: float, base: float = 0.0) -> Body:
+def extrude(profile: Profile, height: Real, base: Real = 0.0) -> Body:
     """The prism over a profile in the xy plane, from z = base to base + height."""
     outline, edge = _discretise(profile, chord=_CHORD)
     size = len(outline)
@@ -132,29 +135,29 @@ def revolve(profile: Profile) -> Body:
     return _compact(Body(vertices[used], faces.reshape(-1, 3), surface_index[solid], surfaces))
 
 
-def box(size: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0.0)) -> Body:
+def box(size: Sequence[Real], center: Sequence[Real] = (0.0, 0.0, 0.0)) -> Body:
     """The box with these side lengths about center."""
     return extrude(rectangle(size[0], size[1], center=center[:2]), size[2], center[2] - size[2] / 2)
 
 
-def cylinder(radius: float, height: float, base: Sequence[float] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:
+def cylinder(radius: Real, height: Real, base: Sequence[Real] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:
     """The cylinder that stands on base and runs along one of the axes."""
     return place(revolve(polygon([(0, 0), (radius, 0), (radius, height), (0, height)])), base, along)
 
 
-def cone(low: float, high: float, height: float, base: Sequence[float] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:
+def cone(low: Real, high: Real, height: Real, base: Sequence[Real] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:
     """The frustum from radius low at base to radius high; one of them may be 0."""
     points = [(0, 0), (low, 0), (high, height), (0, height)]
     return place(revolve(polygon([p for j, p in enumerate(points) if j in (0, 3) or p[0] > 0])), base, along)
 
 
-def sphere(radius: float, center: Sequence[float] = (0.0, 0.0, 0.0)) -> Solid:
+def sphere(radius: Real, center: Sequence[Real] = (0.0, 0.0, 0.0)) -> Solid:
     """The ball about center."""
     outline = Profile(np.array([(0.0, -radius), (0.0, radius)]), np.array([np.pi, 0.0]))
     return place(revolve(outline), center)
 
 
-def drill(radius: float, depth: float, tip: float = 0.0, chamfer: float = 0.0) -> Body:
+def drill(radius: Real, depth: Real, tip: Real = 0.0, chamfer: Real = 0.0) -> Body:
     """What a drill removes that enters the plane z = 0 downwards: a cylinder, its end, a chamfer around its mouth.
 
     The end is flat (tip 0), a cone of half-angle tip, or a half ball (tip negative).
@@ -170,7 +173,7 @@ def drill(radius: float, depth: float, tip: float = 0.0, chamfer: float = 0.0) -
     return revolve(outline._replace(sweeps=sweeps))
 
 
-def place(solid: Solid, at: Sequence[float] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:
+def place(solid: Solid, at: Sequence[Real] = (0.0, 0.0, 0.0), along: str = "z") -> Solid:
     """The solid with its z axis turned onto the axis named (a leading - turns it over) and its origin moved to at."""
     turn = np.roll(np.eye(3), "zxy".index(along[-1]), axis=0)
     if along.startswith("-"):
@@ -178,7 +181,7 @@ def place(solid: Solid, at: Sequence[float] = (0.0, 0.0, 0.0), along: str = "z")
     return transform(solid, turn, np.asarray(at, np.float64))
 
 
-def rotate(solid: Solid, angle: float, axis: str = "z") -> Solid:
+def rotate(solid: Solid, angle: Real, axis: str = "z") -> Solid:
     """The solid turned by an angle about a coordinate axis through the origin."""
     c, s = (0.0 if abs(value) < 1e-15 else value for value in (np.cos(angle), np.sin(angle)))
     one, two, _ = _AXES[axis]
@@ -187,18 +190,18 @@ def rotate(solid: Solid, angle: float, axis: str = "z") -> Solid:
     return transform(solid, turn, np.zeros(3))
 
 
-def ring(solid: Solid, count: int, phase: float = 0.0) -> list[Solid]:
+def ring(solid: Solid, count: int, phase: Real = 0.0) -> list[Solid]:
     """Copies of the solid evenly spread about the z axis."""
     return [rotate(solid, phase + j * 2 * np.pi / count) for j in range(count)]
 
 
-def segments(radius: float, chord: float = _CHORD) -> int:
+def segments(radius: Real, chord: Real = _CHORD) -> int:
     """The number of chords of a whole circle, a multiple of four."""
     step = 2 * np.arccos(1 - min(chord / max(radius, chord), 0.9))
     return int(np.clip(4 * np.ceil(2 * np.pi / step / 4), _MIN_SEGMENTS, _MAX_SEGMENTS))
 
 
-def _discretise(profile: Profile, *, chord: float) -> tuple[np.ndarray, np.ndarray]:
+def _discretise(profile: Profile, *, chord: Real) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the outline, counter-clockwise, and for the segment that starts at each the edge it belongs to."""
     outline, edge = [], []
     for row, (start, end, sweep) in enumerate(_edges(profile)):
@@ -224,7 +227,7 @@ def _edges(profile: Profile):
     return zip(profile.points, np.roll(profile.points, -1, axis=0), profile.sweeps.tolist(), strict=True)
 
 
-def _center(start: np.ndarray, end: np.ndarray, sweep: float) -> np.ndarray:
+def _center(start: np.ndarray, end: np.ndarray, sweep: Real) -> np.ndarray:
     chord = end - start
     return (start + end) / 2 + np.array([-chord[1], chord[0]]) / 2 / np.tan(sweep / 2)
 
