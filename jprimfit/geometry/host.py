@@ -19,7 +19,8 @@ from jprimfit.geometry.sampling import optimised_farthest_points
 from jprimfit.types import Neighbors
 
 TIE_DEPTH = 64  # how far behind the k-th place points of equal distance are looked for
-CHUNK = 8_192  # rows per pass, so that the gathered neighbourhoods stay in the cache
+CHUNK = 8_192  # rows per pass of a search among ties
+PCA_CHUNK = 2_048  # rows per pass, so that three coordinates of the neighbourhoods stay in the cache
 
 
 class Frame(NamedTuple):
@@ -105,8 +106,8 @@ def pca_normals(
     found = knn(points, points, k=k, workers=workers) if neighbors is None else neighbors
     index, mask = np.asarray(found.index), np.asarray(found.mask)
     normal, curvature = np.empty((len(points), 3)), np.empty(len(points))
-    for start in range(0, len(points), CHUNK):
-        rows = slice(start, start + CHUNK)
+    for start in range(0, len(points), PCA_CHUNK):
+        rows = slice(start, start + PCA_CHUNK)
         covariance = _covariances(points, index[rows], mask[rows])
         normal[rows], curvature[rows] = _least_spread(covariance)
     return SurfaceNormals(normal, curvature)
@@ -136,9 +137,7 @@ def build_hierarchy(
                 own.append(nearest(neighbors, k=spec.own_neighbors(0)))
             else:
                 own.append(knn(fine, fine, fine_mask, k=spec.own_neighbors(step), workers=workers))
-            coarse.append(
-                knn(fine, level_points[step + 1], level_masks[step + 1], k=NUM_INTERPOLATED, workers=workers)
-            )
+            coarse.append(knn(fine, level_points[step + 1], level_masks[step + 1], k=NUM_INTERPOLATED, workers=workers))
         searches = Searches(sample, tuple(own), tuple(coarse))
         return jax.device_get(_assemble(points, mask, searches, spec=spec))
 
@@ -199,17 +198,21 @@ def _padded(index: np.ndarray, sq_distance: np.ndarray, *, num_points: int) -> N
 
 def _covariances(points: Float64[np.ndarray, "n 3"], index: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(m, 3, 3) centred second moments (a mean, not a sum) of each row's neighbours, in two passes."""
-    weight = mask / np.maximum(mask.sum(axis=1, keepdims=True), 1)
+    count, padded = np.maximum(mask.sum(axis=1), 1), not mask.all()
     offsets = []
     for coordinate in np.ascontiguousarray(points.T):
         # Offsets from the row's first neighbour are small numbers, whatever the position of the cloud.
         offset = coordinate.take(index)
         offset -= offset[:, :1]
-        offset -= np.einsum("mk,mk->m", weight, offset)[:, None]
+        if padded:
+            offset *= mask
+        offset -= (offset.sum(axis=1) / count)[:, None]
+        if padded:
+            offset *= mask
         offsets.append(offset)
     covariance = np.empty((len(index), 3, 3))
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        covariance[:, i, j] = covariance[:, j, i] = np.einsum("mk,mk,mk->m", weight, offsets[i], offsets[j])
+        covariance[:, i, j] = covariance[:, j, i] = np.einsum("mk,mk->m", offsets[i], offsets[j]) / count
     return covariance
 
 
