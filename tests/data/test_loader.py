@@ -154,7 +154,7 @@ class TestBatch:
         row = int(np.argmax(example.mask.sum(axis=1)))
         points, mask = jnp.asarray(example.points[row]), jnp.asarray(example.mask[row])
         sets = jax.tree.map(lambda values: jnp.asarray(values[row]), example.sets)
-        found = hierarchy.from_index_sets(points, sets, mask)
+        found = jax.jit(hierarchy.from_index_sets)(points, sets, mask)
         expected = jax.jit(hierarchy.build, static_argnames="spec")(points, mask, spec=SPEC)
 
         for a, b in zip(found.points + found.density, expected.points + expected.density, strict=True):
