@@ -6,9 +6,10 @@ depend on (seed, its number) alone: neither on the number of hosts and devices n
 not change under rotation. Letters: b examples, n points, q queries; a leading axis b on everything.
 """
 
+import math
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,32 +109,52 @@ class Loader:
     def _assemble(
         self, clouds: Int[np.ndarray, "b"], rotations: Float[np.ndarray, "b 3 3"] | None, query: Int[np.ndarray, "b q"]
     ) -> Example:
-        arrays, size = self.pool.arrays, len(clouds)
-        points = arrays["points"].take(clouds, 0)
-        num_points, at_queries = points.shape[1], (clouds[:, None], query)
+        arrays, room = self.pool.arrays, self._room(len(clouds))
+        units = {name: span / STEPS for name, span in SPANS.items()}
+        num_points, at_queries = arrays["points"].shape[1], (clouds[:, None], query)
         valid = arrays["num_valid"][clouds][:, None]
-        instance_mask = np.arange(arrays["kind"].shape[1])[None] < arrays["num_instances"][clouds][:, None]
-        local_normals = arrays["local_normals"].take(clouds, 0)
-        local_normals = _turned(local_normals.reshape(size, -1, 3), rotations, "local_normals")
-        samples = arrays["samples"].take(clouds, 0)
+        normals = np.empty((*query.shape, 3), np.float32)
+        _turn(arrays["normals"][at_queries], rotations, normals)
+        axis = np.empty((len(clouds), *arrays["axis"].shape[1:]), np.float32)
+        _turn(arrays["axis"].take(clouds, 0), rotations, axis)
+        for name in ("points", "local_normals", "samples"):
+            _turn([arrays[name][cloud] for cloud in clouds], rotations, room[name], unit=units.get(name, 1.0))
+        np.multiply(arrays["curvature"][clouds], np.float32(units["curvature"]), out=room["curvature"])
         truth = Truth(
             mask=query < valid,
-            normals=_unit(_turned(arrays["normals"][at_queries], rotations, "normals")),
+            normals=_unit(normals),
             labels=np.where(query < valid, arrays["labels"][at_queries], BACKGROUND).astype(np.int32),
-            instance_mask=instance_mask,
+            instance_mask=np.arange(arrays["kind"].shape[1])[None] < arrays["num_instances"][clouds][:, None],
             kind=arrays["kind"].take(clouds, 0).astype(np.int32),
-            axis=_turned(arrays["axis"].take(clouds, 0), rotations),
-            samples=_turned(samples.reshape(size, -1, 3), rotations, "samples").reshape(samples.shape),
+            axis=axis,
+            samples=room["samples"],
         )
         return Example(
-            points=_turned(points, rotations),
+            points=room["points"],
             mask=np.arange(num_points)[None] < valid,
-            local_normals=local_normals.reshape(size, num_points, -1, 3),
-            curvature=self.pool.values("curvature", clouds),
-            sets=self.pool.index_sets(clouds),
+            local_normals=room["local_normals"],
+            curvature=room["curvature"],
+            sets=self.pool.index_sets(clouds, out=room),
             query=np.array(query),
             truth=truth,
         )
+
+    def _room(self, size: int) -> dict[str, np.ndarray]:
+        """Uninitialised arrays for the large parts of a batch, by their names in the pool.
+
+        They lie in one allocation, because a large one is given huge pages: the system clears small pages one by one,
+        which takes three times as long as filling them.
+        """
+        layout, used = {}, 0
+        for name, array in self.pool.arrays.items():
+            if name in ("points", "local_normals", "curvature", "samples") or name.startswith("sets."):
+                dtype = np.dtype(np.float32) if name in SPANS else array.dtype
+                shape = (size, *array.shape[1:])
+                layout[name] = (used, shape, dtype)
+                used += -(-math.prod(shape) * dtype.itemsize // 64) * 64  # where a vector load, and JAX, want it
+        memory = np.empty(used + 64, np.uint8)
+        memory = memory[-memory.ctypes.data % 64 :]
+        return {name: np.ndarray(shape, dtype, memory, start) for name, (start, shape, dtype) in layout.items()}
 
 
 def prefetch(
@@ -185,13 +206,15 @@ def prefetch(
         thread.join()
 
 
-def _turned(vectors: np.ndarray, rotations: np.ndarray | None, packed: str | None = None) -> np.ndarray:
-    """(b, rows, 3) vectors, unpacked if they are fixed point, each cloud's turned by its rotation: float32."""
-    scale = np.float32(SPANS[packed] / STEPS if packed else 1.0)
-    vectors = vectors.astype(np.float32, copy=False)
-    if rotations is None:
-        return vectors * scale
-    return vectors @ np.swapaxes(rotations * scale, 1, 2)
+def _turn(
+    vectors: Sequence[np.ndarray] | np.ndarray, rotations: np.ndarray | None, out: np.ndarray, *, unit: float = 1.0
+) -> None:
+    """Fills out, float32, with the vectors (rows of 3) of each cloud in multiples of unit, turned by its rotation."""
+    # Cloud by cloud, so that what is unpacked stays in the cache.
+    for row, own in enumerate(vectors):
+        flat = own.reshape(-1, 3).astype(np.float32, copy=False)
+        rotation = np.eye(3, dtype=np.float32) if rotations is None else rotations[row]
+        np.matmul(flat, np.float32(unit) * rotation.T, out=out[row].reshape(-1, 3))
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from functools import lru_cache
@@ -53,14 +53,17 @@ class Pool:
 
     def values(self, name: str, rows: Any) -> np.ndarray:
         """Some rows of an array that is kept as fixed point, float32."""
-        return self.arrays[name][rows].astype(np.float32) * np.float32(SPANS[name] / STEPS)
+        return np.multiply(self.arrays[name][rows], np.float32(SPANS[name] / STEPS), dtype=np.float32)
 
-    def index_sets(self, rows: np.ndarray) -> IndexSets:
-        """The index sets of some clouds, stacked."""
+    def index_sets(self, rows: np.ndarray, *, out: Mapping[str, np.ndarray] | None = None) -> IndexSets:
+        """The index sets of some clouds, stacked; written into the arrays of these names where out is given."""
+
+        def stacked(name: str) -> np.ndarray:
+            # Other modes than clip write into a copy of out first.
+            return self.arrays[name].take(rows, 0, out=out[name] if out else None, mode="clip")
+
         steps = range(self._num_steps)
-        fields: Any = [
-            tuple(self.arrays[f"sets.{field}.{step}"].take(rows, 0) for step in steps) for field in IndexSets._fields
-        ]
+        fields: Any = [tuple(stacked(f"sets.{field}.{step}") for step in steps) for field in IndexSets._fields]
         return IndexSets(*fields)
 
 
