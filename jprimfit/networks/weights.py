@@ -6,6 +6,7 @@ weights are rounded to nearest on saving and are float32 again once loaded; `rou
 statistics stay float32. Nothing is ever unpickled, and equal models have equal bytes.
 """
 
+import functools
 import hashlib
 import io
 import json
@@ -14,7 +15,6 @@ import os
 import re
 import uuid
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,9 +35,17 @@ VERSION = 1
 ASSETS = Path(__file__).resolve().parent.parent / "assets"
 SHIPPED = ("default", "spfn")
 EXPORTED = ("weights", "best/weights", "last/weights")  # where a training leaves models in its workdir, the best first
-MAX_YAML = 1 << 20  # bytes
+MAX_YAML = 1 << 18  # bytes
+MAX_DEPTH = 32  # of sections in it
 MAX_NUMBERS = 1 << 28  # of one model: ten times the paper's network and more
 MAX_HEADER = 1 << 10  # bytes of an array's header
+_OPENING = (
+    yaml.BlockMappingStartToken,
+    yaml.BlockSequenceStartToken,
+    yaml.FlowMappingStartToken,
+    yaml.FlowSequenceStartToken,
+)
+_CLOSING = (yaml.BlockEndToken, yaml.FlowMappingEndToken, yaml.FlowSequenceEndToken)
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -132,6 +140,7 @@ def check_shapes(config: SegmenterConfig, shapes: Mapping[str, tuple[int, ...]],
             )
 
 
+@functools.lru_cache(maxsize=8)
 def expected_shapes(config: SegmenterConfig) -> dict[str, tuple[int, ...]]:
     """The shape of every array of a network, by name; nothing is computed."""
     num_points, num_sizes = config.hierarchy.num_points[0], len(config.neighborhoods)
@@ -209,16 +218,7 @@ def _refusing(source: Path) -> Iterator[None]:
     """Turns what a library raises about a damaged file into one sentence."""
     try:
         yield
-    except (
-        ValueError,
-        OSError,
-        RuntimeError,
-        LookupError,
-        TypeError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except Exception as error:  # a damaged file surfaces anywhere in zipfile, zlib, NumPy or YAML
         words = " ".join(str(error).split())
         if words.startswith(str(source)):  # a sentence of ours, or of settings
             raise ValueError(words) from None
@@ -230,6 +230,7 @@ def _read_document(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_YAML:
         _refuse(path, f"it has {path.stat().st_size} bytes where a model's YAML has {MAX_YAML} at most")
     with _refusing(path):
+        _refuse_depth(path)
         document = read_yaml(path)
         if document.get("format") != FORMAT:
             _refuse(path, f"it is no YAML of a jprimfit model (format: {document.get('format')!r})")
@@ -241,6 +242,15 @@ def _read_document(path: Path) -> dict[str, Any]:
         if document["sha256"] != _digest(document):
             _refuse(path, "it has changed since it was written")
     return document
+
+
+def _refuse_depth(path: Path) -> None:
+    """Stops at what keeps a YAML reader busy for ever: aliases of aliases, thousands of brackets."""
+    depth = 0
+    for token in yaml.scan(path.read_text(encoding="utf-8")):
+        depth += isinstance(token, _OPENING) - isinstance(token, _CLOSING)
+        if isinstance(token, yaml.AliasToken) or depth > MAX_DEPTH:
+            _refuse(path, f"it has aliases or more than {MAX_DEPTH} levels, as no model's YAML has")
 
 
 def _digest(document: Mapping[str, Any]) -> str:

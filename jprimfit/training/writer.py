@@ -61,11 +61,11 @@ class Writer:
             return
         values = {name: float(value) for name, value in scalars.items()}
         finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
-        self._file.write(_line({"step": int(step), "kind": kind, **finite}))
+        self._file.write(_line({"step": step, "kind": kind, **finite}))
         self._file.flush()  # a kill loses nothing; only a crash of the whole machine may
         if self._events is not None:
             tags = {f"{kind}/{name}": value for name, value in values.items()}
-            self._events.write(events.scalars_event(int(step), tags, seconds=time.time()))
+            self._events.write(events.scalars_event(step, tags, seconds=time.time()))
             self._events.flush()
 
     def close(self) -> None:
