@@ -190,12 +190,15 @@ def _settled(body: Body) -> Body:
 
 def _without_flips(body: Body, moved: np.ndarray) -> np.ndarray:
     """The moved vertices, but the old ones at corners of triangles that the move would turn over visibly."""
-    before, after = (doubled_areas(vertices[body.faces]) for vertices in (body.vertices, moved))
-    extent = np.max(np.ptp(body.vertices, axis=0))
-    flipped = (np.sum(before * after, axis=1) < 0) & (np.sum(after * after, axis=1) > (_SLIVER * extent**2) ** 2)
-    stay = np.unique(body.faces[flipped])
-    moved[stay] = body.vertices[stay]
-    return moved
+    before = doubled_areas(body.vertices[body.faces])
+    visible = (_SLIVER * np.max(np.ptp(body.vertices, axis=0)) ** 2) ** 2
+    while True:  # what goes back may turn over its neighbours; in the end all is as it was
+        after = doubled_areas(moved[body.faces])
+        flipped = (np.sum(before * after, axis=1) < 0) & (np.sum(after * after, axis=1) > visible)
+        stay = np.unique(body.faces[flipped])
+        if np.array_equal(moved[stay], body.vertices[stay]):
+            return moved
+        moved[stay] = body.vertices[stay]
 
 
 def doubled_areas(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
