@@ -39,7 +39,7 @@ BODIES = {  # body, volume, names of its surfaces
     "ball": (shapes.sphere(0.5, (1, 2, 3)), np.pi / 6, ["sphere"]),
     "prism": (shapes.extrude(shapes.polygon(L_SHAPE), 0.5), 2.0, ["plane"] * 8),
     "hexagon": (shapes.extrude(shapes.regular(6, 2.0), 1.0), 2 * np.sqrt(3), ["plane"] * 8),
-    "stadium": (shapes.extrude(shapes.stadium(1.0, 0.5), 1.0), 1 + np.pi / 4, ["plane", "cylinder"] * 2 + ["plane"] * 2),
+    "stadium": (shapes.extrude(shapes.stadium(1, 0.5), 1), 1 + np.pi / 4, ["plane", "cylinder"] * 2 + 2 * ["plane"]),
     "drill": (shapes.drill(0.5, 1.0, np.pi / 4), np.pi / 4 * (1.05 + 0.5 / 3), ["cone", "cylinder", "plane"]),
     "round drill": (shapes.drill(0.5, 1.0, -1.0), np.pi / 4 * 1.05 + np.pi / 12, ["sphere", "cylinder", "plane"]),
     "clockwise": (shapes.extrude(shapes.polygon(L_SHAPE[::-1]), 0.5), 2.0, ["plane"] * 8),
