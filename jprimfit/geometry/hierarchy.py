@@ -8,7 +8,7 @@ Index sets do not change under rotation, so a data loader may build them once pe
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -111,14 +111,14 @@ def index_sets(hierarchy: Hierarchy) -> IndexSets:
     """What to store of a hierarchy of NumPy arrays; rotation does not change it."""
     small = max(len(points) for points in hierarchy.points) <= 1 << 16
 
-    def rows(index: np.ndarray) -> np.ndarray:
+    def rows(index: Any) -> np.ndarray:
         return np.asarray(index, np.uint16 if small else np.int32)
 
     def counts(groups: Neighbors) -> np.ndarray:
         widest = groups.mask.shape[1]
         return np.asarray(np.sum(groups.mask, axis=1), np.uint8 if widest < 256 else np.int32)
 
-    return IndexSets(
+    stored: tuple[Any, ...] = (
         tuple(rows(index) for index in hierarchy.index),
         tuple(rows(groups.index) for groups in hierarchy.encoder_groups),
         tuple(counts(groups) for groups in hierarchy.encoder_groups),
@@ -127,6 +127,7 @@ def index_sets(hierarchy: Hierarchy) -> IndexSets:
         tuple(rows(weights.index) for weights in hierarchy.interpolation),
         tuple(np.asarray(density, np.float32) for density in hierarchy.density),
     )
+    return IndexSets(*stored)
 
 
 def from_index_sets(
