@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from jprimfit.apps.main import main
 from jprimfit.geometry.hierarchy import HierarchySpec
 from jprimfit.networks import weights
 from jprimfit.networks.pointconv import PointConvConfig
@@ -306,6 +307,14 @@ def test_more_numbers_than_any_network_has_are_refused_before_they_are_read(stem
     monkeypatch.setattr(weights, "MAX_NUMBERS", 1000)
     with pytest.raises(ValueError, match="more than 1000 numbers are announced"):
         weights.load(stem)
+
+
+def test_the_command_line_leaves_with_that_sentence_and_code_2(stem, capsys):
+    truncated(NPZ)(stem)
+    assert main(["evaluate", "--ckpt", str(stem)]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith(f"jprimfit: evaluate: {paths(stem)[NPZ]} cannot be used, it is damaged (")
+    assert_one_sentence(err.removesuffix("\n"))
 
 
 @pytest.mark.slow
