@@ -116,6 +116,10 @@ class _Run:
             f"{self.folder}: {begin}, to step {self.num_steps}; {self.num_parameters:,} parameters, "
             f"{self.sources.num_clouds} clouds, {self.devices.num_devices} x {jax.devices()[0].device_kind}"
         )
+        left_out = self.sources.training.pool.num_left_out
+        if left_out:
+            most = self.config.data.max_instances
+            self.progress.say(f"{left_out} parts have no instance or more than data.max_instances = {most}: left out")
 
     def to_the_end(self, began: float) -> Outcome:
         """Steps until all are made or something stops the run; then everything is saved and exported."""

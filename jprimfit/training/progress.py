@@ -2,7 +2,7 @@
 
 import sys
 import time
-from typing import Any, TextIO
+from typing import Any
 
 from tqdm import tqdm
 
@@ -12,7 +12,7 @@ SMOOTHING = 0.98  # of the shown loss, per step
 class Progress:
     """Counts steps; shows the smoothed loss, the clouds per second and the time left. Silent where not shown."""
 
-    def __init__(self, *, first: int, last: int, batch_size: int, shown: bool = True, stream: TextIO | None = None):
+    def __init__(self, *, first: int, last: int, batch_size: int, shown: bool = True, stream: Any = None):
         self._stream = sys.stderr if stream is None else stream
         self._last, self._batch_size, self._shown = last, batch_size, shown
         self._loss: float | None = None
@@ -33,7 +33,7 @@ class Progress:
         (before, count), now = self._mark, time.monotonic()
         speed = (done - count) * self._batch_size / max(now - before, 1e-9)
         self._mark = (now, done)
-        if self._bar is None and self._loss is not None:
+        if self._bar is None and self._shown and self._loss is not None:
             left = (self._last - done) * self._batch_size / max(speed, 1e-9)
             self.say(f"step {done}/{self._last}   loss {self._loss:.4f}   {speed:.1f} clouds/s   {clock(left)} left")
         elif self._bar is not None:

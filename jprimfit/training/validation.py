@@ -6,11 +6,10 @@ The hard segments and their types are those of objectives/metrics; evaluation/ m
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Num
 
 from jprimfit.data.examples import Example
 from jprimfit.geometry.hierarchy import from_index_sets
@@ -22,9 +21,10 @@ NAMES = ("miou", "type_accuracy", "normal_deg")  # shares in [0, 1], degrees
 SCORES = (*NAMES, "num_segments")
 
 
-def validator(segmenter: nn.Module, *, pooled: bool) -> Callable[[Any, Iterable[Example]], dict[str, float]]:
+def validator(segmenter: Any, *, pooled: bool) -> Callable[[Any, Iterable[Example]], dict[str, float]]:
     """The function (variables, batches of examples) -> mean of each metric over all clouds that have it.
 
+    segmenter: a networks/segmenter.Segmenter.
     pooled: the network judges the types of whole segments, those that it found.
     """
 
@@ -56,12 +56,12 @@ def validator(segmenter: nn.Module, *, pooled: bool) -> Callable[[Any, Iterable[
 
 
 def segmentation(
-    segmenter: nn.Module, variables: Any, example: Example, *, pooled: bool
+    segmenter: Any, variables: Any, example: Example, *, pooled: bool
 ) -> tuple[Prediction, Float[Array, "q s"]]:
     """The prediction for one cloud and the soft membership in it, a row for each query."""
     hierarchy = from_index_sets(example.points, example.sets, example.mask)
     inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
-    prediction: Prediction = segmenter.apply(variables, *inputs, train=False)  # pyright: ignore[reportAssignmentType]
+    prediction: Prediction = segmenter.apply(variables, *inputs, train=False)
     mask = example.truth.mask
     if prediction.embedding is not None:
         membership = cluster(prediction.embedding, mask)
@@ -69,12 +69,12 @@ def segmentation(
         membership = memberships.of_logits(prediction.membership_logits, mask)  # pyright: ignore[reportArgumentType]
     if pooled:
         # The same network on the same cloud again: the compiler merges what both have in common.
-        judged: Any = segmenter.apply(variables, *inputs, train=False, segments=membership)
+        judged = segmenter.apply(variables, *inputs, train=False, segments=membership)
         prediction = prediction._replace(segment_type_logits=judged.segment_type_logits)
     return prediction, membership
 
 
-def _mean(values: Float[np.ndarray, "b"]) -> float:
+def _mean(values: Num[np.ndarray, "b"]) -> float:
     """Mean of what is there to score, 0 where nothing is."""
     scored = values[~np.isnan(values)]
     return float(np.mean(scored)) if scored.size else 0.0

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from jprimfit.data.examples import Example
+from jprimfit.data.loader import Loader, ValidationBatch
 from jprimfit.geometry.hierarchy import HierarchySpec, index_sets
 from jprimfit.geometry.host import build_hierarchy
+from jprimfit.training.sources import Sources
 from jprimfit.types import Truth
 
 NUM_POINTS = 96
@@ -91,14 +93,54 @@ def toy_batch():
     return jax.tree.map(lambda *leaves: np.stack(leaves), *[toy_example(generator) for _ in range(8)])
 
 
+class ToyPool:
+    """Eight clouds."""
+
+    num_left_out = 3
+
+    def __len__(self):
+        return 8
+
+
+class ToyLoader(Loader):
+    """What training/sources needs of data/loader.Loader, over the toy batch: eight clouds, eight examples a step."""
+
+    def __init__(self, batch):
+        self.everything, self.pool = batch, ToyPool()
+        self.asked = []  # steps
+        self.change = lambda step, batch: batch
+
+    def batch(self, step, batch_size, *, shard=(0, 1)):
+        place, count = shard
+        self.asked.append(step)
+        first = step * batch_size + place * (batch_size // count)
+        rows = np.arange(first, first + batch_size // count) % 8
+        return self.change(step, jax.tree.map(lambda x: x[rows], self.everything))
+
+    def validation(self, batch_size, *, num_clouds=None):
+        for first in range(0, 8, batch_size):
+            rows = np.arange(first, first + batch_size)
+            example = jax.tree.map(lambda x, rows=rows: x[rows % 8], self.everything)
+            yield ValidationBatch(example, rows < 8, rows % 8)
+
+
+@pytest.fixture
+def toy_loader(toy_batch, monkeypatch):
+    """The loader that a training finds in place of any pool."""
+    loader = ToyLoader(toy_batch)
+    sources = Sources(loader, loader)
+    monkeypatch.setattr("jprimfit.training.loop.open_sources", lambda config: sources)
+    return loader
+
+
 @pytest.fixture
 def toy_mapping():
     """Settings of a run on it, as a YAML file would hold them; fresh in every test."""
     return {
         "seed": 1,
         "model": jax.tree.map(lambda x: x, TOY_MODEL),
-        "data": {},
+        "data": {"file": "toy.h5", "num_points": NUM_POINTS, "num_query": 0, "max_instances": 4},
         "loss": {"residue": 0.0, "parameter": 0.0, "orthogonality": 0.1},
         "optimizer": {"learning_rate": "1e-2"},
-        "train": {"batch_size": 8, "steps": 40},
+        "train": {"batch_size": 8, "steps": 30, "validate_every": 10, "checkpoint_every": 5, "log_every": 5},
     }
