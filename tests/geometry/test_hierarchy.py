@@ -1,5 +1,7 @@
 """The hierarchy of a cloud: every level against the single operations, both ways of building it, masks."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -98,6 +100,57 @@ def test_index_sets_do_not_change_under_rotation():
     rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0].astype(np.float32)
     one, other = build(CLOUD, spec=SPEC), build(CLOUD @ rotation, spec=SPEC)
     assert_same(one._replace(points=other.points), other, atol=1e-4)
+
+
+NO_GROUPS = replace(SPEC, decoder_neighbors=(0, 4, 0))
+restored = jax.jit(hierarchy.from_index_sets)
+
+
+@pytest.mark.parametrize("num_valid", [64, 40, 10, 2, 1])
+@pytest.mark.parametrize("spec", [SPEC, NO_GROUPS], ids=["groups", "no groups"])
+def test_index_sets_are_all_there_is_to_store(spec, num_valid):
+    mask = np.arange(64) < num_valid
+    on_host = host.build_hierarchy(CLOUD, mask, spec=spec)
+    sets = hierarchy.index_sets(on_host)
+    indices = [leaf for name, field in sets._asdict().items() for leaf in field if name.endswith("index")]
+    assert all(leaf.dtype == np.uint16 for leaf in indices)
+    found = restored(CLOUD, sets, mask)
+    # Of groups the number before the cap is not stored: beyond k nobody needs it.
+    groups = [tuple(g._replace(count=g.mask.sum(axis=1).astype(np.int32)) for g in part) for part in on_host[3:5]]
+    assert_same(found, on_host._replace(encoder_groups=groups[0], decoder_groups=groups[1]))
+
+
+def test_index_sets_of_no_points_give_no_neighbor():
+    mask = np.zeros(64, bool)
+    found = restored(CLOUD, hierarchy.index_sets(host.build_hierarchy(CLOUD, mask, spec=SPEC)), mask)
+    groups = (*found.encoder_groups, *found.decoder_groups)
+    assert not any(leaf.any() for leaf in (*found.mask, *(g.mask for g in groups), *(g.count for g in groups)))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+
+
+@pytest.mark.parametrize("num_valid", [64, 10])
+def test_index_sets_serve_the_turned_cloud(num_valid):
+    rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0].astype(np.float32)
+    mask, turned = np.arange(64) < num_valid, CLOUD @ rotation
+    sets = hierarchy.index_sets(host.build_hierarchy(CLOUD, mask, spec=SPEC))
+    expected = host.build_hierarchy(turned, mask, spec=SPEC)
+    for one, other in zip(sets[:-1], hierarchy.index_sets(expected)[:-1], strict=True):
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+    found = restored(turned, sets, mask)
+    for name in ("points", "mask", "index", "density", "interpolation"):
+        assert_same(getattr(found, name), getattr(expected, name), atol=1e-4)
+
+
+def test_many_points_and_wide_groups_are_stored_in_wider_numbers():
+    built = host.build_hierarchy(CLOUD, spec=SPEC)
+    wide = np.zeros((64, 300), bool)
+    groups = built.decoder_groups[0]._replace(mask=wide)
+    far = np.zeros((1 << 16 | 1, 3), np.float32)
+    sets = hierarchy.index_sets(
+        built._replace(points=(far, *built.points[1:]), decoder_groups=(groups, *built.decoder_groups[1:]))
+    )
+    assert sets.index[0].dtype == np.int32 and sets.decoder_count[0].dtype == np.int32
+    assert sets.encoder_count[0].dtype == np.uint8
 
 
 def test_vmap_equals_one_by_one_and_compiles_once():
