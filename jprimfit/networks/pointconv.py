@@ -90,7 +90,7 @@ class PointConv(nn.Module):
             weights = weights / jnp.maximum(jnp.sum(groups.mask, axis=1), 1).astype(weights.dtype)[:, None, None]
         x = weighted_sum(weights, grouped)
         x = nn.Dense(self.channels, use_bias=False, name="kernel")(x.reshape(len(x), -1))
-        # A centroid of padding has no valid neighbour of its own, and must not count in the statistics.
+        # A centroid without any neighbour is padding, and must not count in the statistics.
         return nn.relu(BatchNorm(self.axis_names, name="norm")(x, jnp.any(groups.mask, axis=1), train=train))
 
     def _density_scale(self, density: Array, groups: Neighbors, train: bool) -> Float[Array, "m k 1"]:
@@ -116,6 +116,11 @@ class PointConv(nn.Module):
 def weighted_sum(weights: Float[Array, "m k v"], grouped: Float[Array, "m k c"]) -> Float[Array, "m v c"]:
     """The reordered product: for each centroid the sum over neighbours of weight times feature."""
     return jnp.einsum("mkv,mkc->mvc", weights, grouped)
+
+
+def _of_points(groups: Neighbors, mask: Bool[Array, "m"]) -> Neighbors:
+    """The groups, empty around centroids of padding: those are copies of a point, and would count it twice."""
+    return groups._replace(mask=groups.mask & mask[:, None])
 
 
 class PointConvNet(nn.Module):
@@ -158,7 +163,7 @@ class PointConvNet(nn.Module):
                     hierarchy.mask[step],
                     levels[step],
                     hierarchy.density[step],
-                    hierarchy.encoder_groups[step],
+                    _of_points(hierarchy.encoder_groups[step], hierarchy.mask[step + 1]),
                     train=train,
                 )
             )
@@ -170,7 +175,8 @@ class PointConvNet(nn.Module):
 
     def _decode(self, hierarchy: Hierarchy, step: int, coarse, skip, normals, query, train: bool) -> Array:
         """Features of level `step` (at the queries only, if given) from those of level step + 1 and the encoder's."""
-        points, mask, groups = hierarchy.points[step], hierarchy.mask[step], hierarchy.decoder_groups[step]
+        points, mask = hierarchy.points[step], hierarchy.mask[step]
+        groups = _of_points(hierarchy.decoder_groups[step], mask)
         weights, name = hierarchy.interpolation[step], f"decoder_{step}"
         if groups.index.shape[1] == 0:
             if query is not None:

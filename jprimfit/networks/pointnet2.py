@@ -85,13 +85,16 @@ class PointNet2(nn.Module):
         widths, names = self.config, self.axis_names
         levels = [Pointwise(widths.stem, names, name="stem")(features, hierarchy.mask[0], train=train)]
         for step, channels in enumerate(widths.encoder):
+            groups, valid = hierarchy.encoder_groups[step], hierarchy.mask[step + 1]
+            # Centroids of padding are copies of a point, and would count it twice.
+            groups = groups._replace(mask=groups.mask & valid[:, None])
             levels.append(
                 SetAbstraction(channels, widths.grouped, names, name=f"encoder_{step}")(
                     hierarchy.points[step + 1],
                     hierarchy.points[step],
                     hierarchy.mask[step],
                     levels[step],
-                    hierarchy.encoder_groups[step],
+                    groups,
                     train=train,
                 )
             )
