@@ -15,8 +15,9 @@ SHIPPED = sorted((ROOT / "configs").glob("*.yaml"))
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_file_says_what_it_is_for_and_loads(path):
-    assert path.read_text(encoding="utf-8").startswith("# Aim: ")
-    assert f"# Command: python train.py --config configs/{path.name}" in path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# Aim: ") and "\n# Command: " in text
+    assert f"python train.py --config configs/{path.name}" in text
     config = read(path)
     assert config.validation.split == "val" and config.data.split == "train"
     assert config.validation.max_instances == config.data.max_instances

@@ -95,7 +95,11 @@ def test_four_devices_and_two_processes_have_the_gradients_of_one_device(inputs,
     both = [
         gradients(inputs, devices=2, dtype=dtype, runs="pmap:4,shard_map:4", distributed=(address, i)) for i in (0, 1)
     ]
-    assert [process.wait(timeout=600) for process in both] == [0, 0]
+    try:
+        assert [process.wait(timeout=1800) for process in both] == [0, 0]
+    finally:
+        for process in both:  # one that has lost the other would wait for it for ever
+            process.kill()
     answers = pickle.loads((inputs / "out.pkl").read_bytes())
     figures |= {f"2 processes, {kind}": worst(answers[f"{kind}:4"], one) for kind in kinds}
     with capsys.disabled():

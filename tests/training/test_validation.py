@@ -22,7 +22,7 @@ class Oracle:
         sphere_logits = jax.nn.one_hot((label == 2).astype(jnp.int32), 4)
         return Prediction(
             normals=variables["turn"] * local_normals[:, 0],
-            type_logits=variables["spoil"] + sphere_logits,
+            type_logits=variables["spoil"][None, :] + sphere_logits,
             features=points,
             membership_logits=one_hot if self.head == "slots" else None,
             embedding=one_hot if self.head == "prototype" else None,
