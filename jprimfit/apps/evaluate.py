@@ -1,55 +1,208 @@
-"""`jprimfit evaluate`: how well segmentations agree with the truth of a benchmark.
+"""`jprimfit evaluate`: how well segmentations agree with the truth of a data set or a benchmark.
 
-Built so far: --protocol fit4cad, the overlap measures of evaluation/overlap over a file of Fit4CAD clouds.
+--protocol six: the six metrics (evaluation/six) of a network's own answer, of the whole pipeline, and of geometry
+alone, over the parts of one split. --protocol fit4cad: the overlap measures of evaluation/overlap over a file of
+Fit4CAD clouds. Tables go to stdout, progress to stderr.
 """
 
 import argparse
 import json
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from jprimfit.networks.weights import Model
+
 EXAMPLES = """examples:
-  jprimfit evaluate --data fit4cad.h5 --clouds 1-151
-  jprimfit evaluate --data fit4cad.h5 --rotate --noise 1 --json scores.json
+  python evaluate.py                                       the shipped network on the test set, which is built once
+  python evaluate.py --ckpt runs/small --parts 60          a training's network, on 60 parts
+  python evaluate.py --compare --json scores.json          network, network with refinement, and geometry alone
+  python evaluate.py --data parts.h5 --split val --noise 1
+  python evaluate.py --protocol fit4cad --data fit4cad.h5 --clouds 1-151 --method geometry
+
+what is measured (--protocol six), per part, then the mean over parts with its standard error:
+  mIoU (of true surfaces with the found ones), type (share of right kinds), normal and axis (degrees),
+  residual (distance of clean points to the found surface; the part is 2 long), P cover (points nearer than 0.01)
 """
+METHODS = ("pointconv", "spfn", "geometry")
+LATER = ("cpfn", "ransac")
+BATCH = 8  # clouds that a network sees at once
+MIN_POINTS = 128
+WORDS = {"network": "network", "refined": "network + refinement", "geometry": "geometry alone"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's options to a parser."""
-    parser.add_argument("--protocol", choices=["fit4cad"], default="fit4cad", help="what is measured (default fit4cad)")
-    parser.add_argument("--data", type=Path, required=True, metavar="FILE", help="HDF5 file of the benchmark's clouds")
-    parser.add_argument(
-        "--clouds", default="1-1000", metavar="A-B", help="clouds PCA to PCB, such as 1-151 (default all)"
+    add = parser.add_argument
+    add("--protocol", choices=["six", "fit4cad"], default="six", help="what is measured (default six)")
+    add("--ckpt", metavar="DIR", help="network: default, spfn, or the folder of one (default: default)")
+    add("--data", type=Path, metavar="FILE", help="data set, or the clouds of Fit4CAD (default: the test set)")
+    add("--split", default="test", metavar="NAME", help="of the data set (default test)")
+    add("--method", default="pointconv", metavar="NAME", help=f"{', '.join(METHODS)} (default pointconv)")
+    add("--compare", action="store_true", help="the network, its refinement and geometry alone on the same clouds")
+    add(
+        "--refine",
+        action=argparse.BooleanOptionalAction,
+        default=False,
+        help="score the whole pipeline, too, as fit runs it (default: only the network's own answer)",
     )
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th of them (default 1)")
-    parser.add_argument(
-        "--noise", type=float, default=0.0, metavar="P", help="Gaussian noise, sigma = P %% of the diagonal"
-    )
-    parser.add_argument("--rotate", action="store_true", help="turn every cloud at random (seeded)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the scores of every cloud as JSON")
+    add("--points", type=int, default=8192, metavar="N", help="points per cloud (default 8192)")
+    add("--parts", type=int, metavar="N", help="at most so many parts or clouds (default all)")
+    add("--every", type=int, default=1, metavar="N", help="take every N-th of them (default 1)")
+    add("--noise", type=float, metavar="P", help="Gaussian, sigma = P %% of the diagonal (default: six uniform 0.01)")
+    add("--clouds", default="1-1000", metavar="A-B", help="fit4cad: clouds PCA to PCB, such as 1-151 (default all)")
+    add("--rotate", action="store_true", help="fit4cad: turn every cloud at random (seeded)")
+    add("--json", type=Path, metavar="FILE", help="write the scores of every part as JSON")
+    add("--table", help=argparse.SUPPRESS)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Scores what is asked for, prints tables and writes the JSON."""
+    _check(arguments)
+    from jprimfit.apps.cache import use_compilation_cache
+
+    use_compilation_cache()
+    scores = _fit4cad(arguments) if arguments.protocol == "fit4cad" else _six(arguments)
+    if arguments.json:
+        from jprimfit.evaluation.tables import without_nan
+        from jprimfit.io.files import replacing
+
+        text = json.dumps(without_nan(scores), indent=1, allow_nan=False)
+        with replacing(arguments.json) as file:
+            file.write(text.encode())
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuses what cannot be meant, before anything is computed."""
+    if arguments.method in LATER or arguments.table is not None:
+        word = "--table" if arguments.table is not None else f"--method {arguments.method}"
+        raise ValueError(f"{word} is not built yet: use --method {' or '.join(METHODS)}, or --compare.")
+    if arguments.method not in METHODS:
+        raise ValueError(f"--method {arguments.method!r} is none; expected {', '.join(METHODS)}.")
+    if arguments.noise is not None and not 0 <= arguments.noise < np.inf or arguments.every < 1:
+        raise ValueError(
+            f"--noise {arguments.noise} --every {arguments.every} cannot be: "
+            "give a noise of 0 or more and a step of 1 or more."
+        )
+    if arguments.points < MIN_POINTS or (arguments.parts is not None and arguments.parts < 1):
+        raise ValueError(
+            f"--points {arguments.points} --parts {arguments.parts} cannot be: "
+            f"give {MIN_POINTS} points or more and 1 part or more."
+        )
+    if arguments.method == "geometry" and (arguments.ckpt or arguments.compare or arguments.refine):
+        raise ValueError("--method geometry takes no network: leave --ckpt, --compare and --refine out.")
+    if arguments.json and not arguments.json.absolute().parent.is_dir():
+        raise ValueError(f"--json {arguments.json}: there is no folder {arguments.json.parent}; make it first.")
+    if arguments.protocol == "six" and arguments.rotate:
+        raise ValueError("--rotate belongs to --protocol fit4cad: leave it out.")
+    if arguments.protocol == "fit4cad" and arguments.data is None:
+        raise ValueError("--protocol fit4cad needs --data FILE, the HDF5 file of the benchmark's clouds.")
+    if arguments.data is not None and not arguments.data.is_file():
+        raise ValueError(f"--data {arguments.data} is not a file; give a data set or leave it out.")
+
+
+def _ckpt(arguments: argparse.Namespace) -> str:
+    return arguments.ckpt or ("spfn" if arguments.method == "spfn" else "default")
+
+
+def _six(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The scores of every method on the same clouds: the first one's at the top, all of them under "methods"."""
+    from jprimfit.data.native import Dataset
+    from jprimfit.evaluation import six, tables
+    from jprimfit.networks import weights
+
+    names = ["geometry"] if arguments.method == "geometry" else ["network"]
+    if arguments.refine or arguments.compare:
+        names.append("refined")
+    if arguments.compare:
+        names.append("geometry")
+    model = None if arguments.method == "geometry" else weights.load(_ckpt(arguments))
+    data = arguments.data or _test_set()
+    with Dataset(data) as dataset:
+        numbers = six.parts_of(dataset, arguments.split, every=arguments.every, most=arguments.parts)
+        methods = {}
+        for name in names:
+            rows = _rows(name, dataset, numbers, model, arguments)
+            methods[name] = {**tables.summarise(rows), "parts": rows}
+    shown = {WORDS[name]: scores for name, scores in methods.items()}
+    print(tables.overall_text(shown), end="\n\n")
+    print(tables.groups_text(shown), end="\n\n")
+    noise = "uniform noise of 0.01" if arguments.noise is None else f"noise of {arguments.noise:g} % of the diagonal"
+    print(
+        f"{len(numbers)} parts of split {arguments.split} of {data}, {arguments.points:,} points each, {noise}; "
+        "± standard error; s/part is the method's own time"
+    )
+    about = {
+        "data": str(data),
+        "split": arguments.split,
+        "points": arguments.points,
+        "noise_percent": arguments.noise,
+        "ckpt": None if model is None else _ckpt(arguments),
+        "method": names[0],
+    }
+    return {**methods[names[0]], **about, "methods": methods}
+
+
+def _rows(name: str, dataset: Any, numbers: Any, model: "Model | None", arguments: argparse.Namespace) -> list[dict]:
+    """The scores of one method on all parts, with a bar that shows the mean mIoU."""
+    from tqdm import tqdm
+
+    from jprimfit.evaluation import six
+
+    network = model.config if model is not None and name == "network" else None
+    found = six.cases(dataset, numbers, network=network, num_points=arguments.points, noise=arguments.noise)
+    scores: Iterator[dict[str, Any]]
+    if name == "network":
+        assert model is not None
+        scores = six.network_scores(model, found, batch_size=min(BATCH, len(numbers)))
+    else:
+        scores = six.scene_scores(found, six.pipeline_with(None if name == "geometry" else model))
+    rows = []
+    with tqdm(total=len(numbers), desc=WORDS[name], unit="part", mininterval=0.5, file=sys.stderr) as bar:
+        for row in scores:
+            rows.append(row)
+            bar.set_postfix_str(f"mIoU {100 * np.mean([row['miou'] for row in rows]):.1f} %", refresh=False)
+            bar.update(1)
+    return rows
+
+
+def _test_set() -> Path:
+    """The file of the test set in the user's cache, built first if it is not there."""
+    from tqdm import tqdm
+
+    from jprimfit.apps.cache import cache_folder
+    from jprimfit.evaluation import test_set
+
+    folder = cache_folder() / "data"
+    path = test_set.path_in(folder)
+    if not path.is_file():
+        count = test_set.CONFIG.test
+        print(f"building the test set of {count} parts of unseen families, once, in {folder}", file=sys.stderr)
+        with tqdm(total=count, unit="part", mininterval=0.5, file=sys.stderr) as bar:
+            test_set.build_in(folder, progress=bar.update)
+    return path
+
+
+def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
     """Scores the clouds one after another, prints a line each and the means."""
     from jprimfit import pipeline
     from jprimfit.data.fit4cad import read_clouds
     from jprimfit.evaluation import overlap
-    from jprimfit.io.files import replacing
 
     first, last = _range(arguments.clouds)
-    if not 0 <= arguments.noise < np.inf or arguments.every < 1:
-        raise ValueError(
-            f"--noise {arguments.noise:g} --every {arguments.every} cannot be: "
-            "give a noise of 0 or more and a step of 1 or more."
-        )
+    model = None if arguments.method == "geometry" else _ckpt(arguments)
     parts = []
-    for cloud in list(read_clouds(arguments.data, first=first, last=last))[:: arguments.every]:
-        cloud = _disturbed(cloud, noise=arguments.noise, rotate=arguments.rotate)
+    clouds = list(read_clouds(arguments.data, first=first, last=last))[:: arguments.every]
+    for cloud in clouds[: arguments.parts]:
+        cloud = _disturbed(cloud, noise=arguments.noise or 0.0, rotate=arguments.rotate)
         begin = time.perf_counter()
-        scene = pipeline.fit(cloud.points, model=None)
+        scene = pipeline.fit(cloud.points, model=model)
         seconds = time.perf_counter() - begin
         scored = overlap.score(cloud, scene.labels, scene.surface_of, tuple(p.kind for p in scene.primitives))
         parts.append({"name": cloud.name, "points": len(cloud.points), "seconds": seconds, **scored._asdict()})
@@ -58,26 +211,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"{arguments.data} holds none of the clouds {arguments.clouds}: give another range.")
     mean = {key: _mean([part[key] for part in parts]) for key in parts[0] if key != "name"}
     print(_line(f"mean {len(parts)}", mean))
-    if arguments.json:
-        text = json.dumps(_without_nan({"mean": mean, "parts": parts}), indent=1, allow_nan=False)
-        with replacing(arguments.json) as file:
-            file.write(text.encode())
-    return 0
+    return {"mean": mean, "parts": parts}
 
 
 def _mean(values: list) -> float:
     """Mean of what was there to score, NaN where nothing was."""
     scored = [value for value in values if not np.isnan(value)]
     return float(np.mean(scored)) if scored else float("nan")
-
-
-def _without_nan(value: Any) -> Any:
-    """The value with null for NaN, which JSON does not know."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and np.isnan(value) else value
 
 
 def _range(text: str) -> tuple[int, int]:
