@@ -1,18 +1,23 @@
 """The paper's Figure 1 in one function: preprocess -> features -> segment -> fit -> refine.
 
-No network is shipped yet: features, segmentation and a first fit are those of fitting/geometric, which finds surfaces
-by growing them. Between the first and the last line everything is in the normalised frame; the scene is in the unit
-and frame of the input.
+The network proposes, geometry decides: the hearts of the network's segments are the patches from which surfaces are
+grown first, and what they leave is grown from seeds of its own. Without a network all of it is. Between the first and
+the last line everything is in the normalised frame; the scene is in the unit and frame of the input.
 """
 
 import time
 from collections.abc import Callable
+from functools import lru_cache
+from os import PathLike
 from typing import Any
 
 import numpy as np
 
 from jprimfit import checks
 from jprimfit.fitting import geometric, kinds, refinement
+from jprimfit.fitting.advice import advice
+from jprimfit.networks import inference, weights
+from jprimfit.networks.weights import Model
 from jprimfit.preprocessing.outliers import Mode
 from jprimfit.preprocessing.steps import preprocess, propagate
 from jprimfit.scene import Scene
@@ -26,7 +31,7 @@ def fit(
     points: Any,
     normals: Any = None,
     *,
-    model: str | None = "default",
+    model: str | PathLike[str] | Model | None = "default",
     seed: int = 0,
     filter: Mode = "auto",
     smooth: bool = False,
@@ -37,8 +42,8 @@ def fit(
     Args:
         points: (n, 3), any unit and position. Rows that are not finite are reported and labelled -1.
         normals: (n, 3), of any length and sign, where the scanner gives them; else they are estimated.
-        model: "default", the best that is shipped: at present geometry alone, which None asks for by name.
-        seed: of every random choice; the geometric segmentation makes none.
+        model: "default", the best that is shipped, another name or folder, or what load_model gave; None = no network.
+        seed: of every random choice; at present none is made.
         filter: removes outliers: "auto" where the scan has some, "on", "off". They are labelled -1.
         smooth: smooths what the segmentation sees; parameters come from the raw points all the same.
         progress: called with (stage, steps done, steps in all).
@@ -51,8 +56,7 @@ def fit(
 
     Source: Entropy 2024, 26(9), 717, Figure 1.
     """
-    if model not in (None, "default"):
-        raise ValueError(f"there is no model {model!r}: no network is shipped yet, leave the model out.")
+    network = model if model is None or isinstance(model, Model) else _load(model)
     if not isinstance(smooth, bool):
         raise ValueError(f"smooth is {smooth!r}, but True or False is expected: give one of them.")
     say = progress or _silent
@@ -72,11 +76,18 @@ def fit(
     if usable.normals is not None:
         given, given_thinned = usable.normals[first][kept], usable.normals[first][ready.index]
 
+    say("network", 0, 1)
+    advised = None if network is None else advice(thinned, *inference.ask(network, thinned))
+
     say("segment", 0, len(thinned))
-    proposal = geometric.propose(thinned, given_thinned, progress=lambda done, total: say("segment", done, total))
+    proposal = geometric.propose(
+        thinned, given_thinned, advice=advised, progress=lambda done, total: say("segment", done, total)
+    )
 
     say("refine", 0, 1)
     labels = propagate(proposal.labels, thinned, cloud)
+    if given is None and proposal.normals is not None:
+        given = propagate(proposal.normals, thinned, cloud)
     # The noise of a smoothed cloud is not that of the scan.
     noise = None if smooth else proposal.noise
     found = refinement.refine(cloud, proposal.surfaces, labels, given, noise=noise)
@@ -100,11 +111,17 @@ def fit(
             "num_unusable": num_points - len(usable.points),
             "num_copies": len(usable.points) - len(distinct),
             "preprocessing": ready.report,
-            "network": None,
+            "network": None if network is None else network.name,
             "settings": {"filter": filter, "smooth": smooth, "seed": seed},
             "seconds": round(time.perf_counter() - begin, 3),
         },
     )
+
+
+@lru_cache(maxsize=4)
+def _load(name: str | PathLike[str]) -> Model:
+    """A model by name or folder; read and checked once per process."""
+    return weights.load(name)
 
 
 def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

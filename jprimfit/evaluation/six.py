@@ -25,10 +25,10 @@ from jprimfit.data.noise import sigma_of_percent
 from jprimfit.data.records import KINDS, MAX_INSTANCES, Part
 from jprimfit.evaluation.tables import INSTANCE_METRICS
 from jprimfit.geometry import host, safe
-from jprimfit.geometry.hierarchy import HierarchySpec, from_index_sets
+from jprimfit.geometry.hierarchy import HierarchySpec
 from jprimfit.geometry.preparation import Prepared, prepare
 from jprimfit.geometry.sampling import optimised_farthest_points
-from jprimfit.networks.clustering import cluster
+from jprimfit.networks.inference import segment
 from jprimfit.networks.segmenter import Segmenter, SegmenterConfig
 from jprimfit.networks.weights import Model
 from jprimfit.objectives import fits, memberships, metrics
@@ -206,17 +206,7 @@ def _network(model: Model) -> Callable[[Example, Seen], dict[str, Array]]:
     segmenter = Segmenter(model.config)
 
     def predict(variables: Any, seen: Seen) -> tuple[Prediction, Array]:
-        cloud = seen.cloud
-        hierarchy = from_index_sets(cloud.points, cloud.sets, cloud.mask)
-        inputs = (cloud.points, hierarchy, cloud.local_normals, cloud.curvature)
-        said: Any = segmenter.apply(variables, *inputs, train=False)
-        if said.embedding is not None:
-            membership = cluster(said.embedding, cloud.mask)
-        else:
-            membership = memberships.of_logits(said.membership_logits, cloud.mask)
-        if model.config.types == "pooled":
-            # The same network on the same cloud: the compiler merges what both calls have in common.
-            said = segmenter.apply(variables, *inputs, train=False, segments=membership)
+        said, membership = segment(segmenter, variables, seen.cloud, pooled=model.config.types == "pooled")
         rows = seen.nearest
         return said._replace(normals=said.normals[rows], type_logits=said.type_logits[rows]), membership[rows]
 

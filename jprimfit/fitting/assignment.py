@@ -19,6 +19,7 @@ from jprimfit.fitting.merging import Surface
 NUM_VOTERS = 9  # neighbours, the point included, whose surfaces are candidates
 SWEEPS = 6
 NORMAL_SCALE = np.radians(15.0)  # a disagreement that costs as much as one standard deviation of distance
+MAX_TURN = 2.0  # of these at most: beside an edge a normal may be worth nothing
 SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
 SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
 MAX_LINK = 3.0  # length of a link, in distances to the farthest of the voters
@@ -89,7 +90,7 @@ def _costs(points, surface, surfaces, tolerance) -> Float[np.ndarray, "s n"]:
     cost = np.empty((len(surfaces), len(points)), np.float32)
     for number, candidate in enumerate(surfaces):
         distance, cosine = cloud.agreement(candidate.primitive)
-        turn = np.arccos(np.minimum(cosine, 1.0)) / NORMAL_SCALE
+        turn = np.minimum(np.arccos(np.minimum(cosine, 1.0)) / NORMAL_SCALE, MAX_TURN)
         cost[number] = 0.5 * np.square(3.0 * distance / tolerance) + 0.5 * np.square(turn) * surface.core
         cost[number][distance > 1.5 * tolerance] = np.inf
     return cost

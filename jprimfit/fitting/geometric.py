@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int32
 
 from jprimfit.fitting import growing, local, merging
+from jprimfit.fitting.advice import Advice
 
 MAX_ECHOES = 0.1  # share of the points in echoes that is put down to shape
 NUM_DOUBLINGS = 4  # of the noise, at most
@@ -25,22 +26,27 @@ class Proposal(NamedTuple):
     surfaces: list[merging.Surface]  # by falling number of points
     labels: Int32[np.ndarray, " n"]  # index into surfaces, -1 = none
     noise: float  # standard deviation along the normal that the surfaces hold under
+    normals: Float[np.ndarray, "n 3"] | None  # unit, of either sign, that others than the points told; None = nobody
 
 
 def propose(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"] | None = None,
     *,
+    advice: Advice | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Proposal:
     """The surfaces that explain n >= 4 points; a point in several of their regions goes to the smallest.
 
-    normals: unit, sign free, where they were measured; else they are estimated. progress: called with (points
-    explained, points in all).
+    normals: unit, sign free, where they were measured; else they are estimated. advice: of a network; its normals
+    serve where noise hides those of the points. progress: called with (points explained, points in all).
     """
     described = local.describe(points, normals=normals)
+    if advice is not None and normals is None and not growing.is_quiet(described):
+        normals = advice.normals
+        described = described._replace(normal=normals)
     for doubling in range(NUM_DOUBLINGS + 1):
-        regions = growing.grow_regions(points, described, normals=normals, progress=progress)
+        regions = growing.grow_regions(points, described, normals=normals, advice=advice, progress=progress)
         tolerance = growing.tolerance(described)
         surfaces = merging.merge_regions(points, described.normal, regions, tolerance=tolerance)
         if growing.is_quiet(described) or doubling == NUM_DOUBLINGS:
@@ -51,4 +57,4 @@ def propose(
     labels = np.full(len(points), -1, dtype=np.int32)
     for number, surface in enumerate(surfaces):
         labels[surface.rows] = number
-    return Proposal(surfaces, labels, described.noise)
+    return Proposal(surfaces, labels, described.noise, normals)

@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from jprimfit.fitting import kinds
+from jprimfit.fitting.advice import Advice
 from jprimfit.fitting.local import LocalSurface, describe
 from jprimfit.primitives.table import KINDS, MODULES
 from jprimfit.types import Primitive
@@ -32,6 +33,7 @@ MAX_SEED_RMS = 2.0  # tolerances; a first fit worse than this is not grown
 GROWTH_ROUNDS = 16
 CLAIM_RINGS = 3  # links that a claim reaches beyond the core of a region
 HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.88}  # factor on the evidence
+TYPE_WEIGHT = 0.5  # of a point's log-probability of the kind: neighbours say the same, so it is not evidence of its own
 MAX_PASSES = 4
 SMALL_REGION = 80  # points; a larger region of a clean cloud is no coincidence
 SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to be tried
@@ -53,6 +55,7 @@ class _Pass(NamedTuple):
     surface: LocalSurface
     cloud: kinds.Cloud
     links: Int[np.ndarray, "n k"]  # nearest neighbours of each point
+    log_types: Float[np.ndarray, "n 4"]  # of each kind at each point, 0 where nobody knows
     tolerance: float
     taken: Bool[np.ndarray, " n"]  # core of a region: for no other
     claimed: Bool[np.ndarray, " n"]  # explained by a region, yet open to others
@@ -73,22 +76,26 @@ def grow_regions(
     surface: LocalSurface,
     *,
     normals: Float[np.ndarray, "n 3"] | None = None,
+    advice: Advice | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Region]:
     """All regions of a cloud, in the order they were found.
 
     What a pass leaves is looked at anew without the points that are explained: a wall three points high has no smooth
     neighbourhood as long as the faces above and below are seen too. Its edges, which those faces claim, stay in view.
-    normals: measured ones, where the surface was described with them. progress is called with (points explained or
-    given up, points in all).
+    normals: measured ones, where the surface was described with them. advice: of a network; its patches are grown
+    first, the largest before the others, and the kinds that it expects have an advantage. progress is called with
+    (points explained or given up, points in all).
     """
     regions: list[Region] = []
     whole = surface
     rows = np.arange(len(points))
     claimed = np.zeros(len(points), dtype=bool)
-    for _ in range(MAX_PASSES):
-        state = _start(points[rows], surface, claimed)
-        found = _grow_pass(state)
+    log_types = np.zeros((len(points), len(KINDS))) if advice is None else advice.log_types
+    for number in range(MAX_PASSES):
+        state = _start(points[rows], surface, claimed, log_types[rows])
+        found = _grow_patches(state, advice.patches) if advice is not None and number == 0 else []
+        found += _grow_pass(state)
         regions += [region._replace(rows=rows[region.rows]) for region in found]
         left = ~state.taken & ~state.claimed
         if progress is not None:
@@ -125,20 +132,43 @@ def _closed(regions: list[Region], surface: LocalSurface) -> list[Region]:
     return kept
 
 
-def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"]) -> _Pass:
+def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"], log_types: np.ndarray) -> _Pass:
     links = surface.index[:, 1 : NUM_LINKS + 1]
     cloud = kinds.Cloud(points, surface.normal)
     taken = np.zeros(len(points), dtype=bool)
-    return _Pass(points, surface, cloud, links, tolerance(surface), taken, claimed.copy())
+    return _Pass(points, surface, cloud, links, log_types, tolerance(surface), taken, claimed.copy())
+
+
+def _grow_patches(state: _Pass, patches: tuple[Int[np.ndarray, " r"], ...]) -> list[Region]:
+    """Regions from the smooth points of given patches, the largest first; marks what they take and claim."""
+    regions: list[Region] = []
+    for patch in sorted(patches, key=lambda patch: -len(patch)):
+        rows = patch[state.surface.core[patch] & ~state.taken[patch] & ~state.claimed[patch]]
+        if len(rows) < max(SEED_POINTS[0], 0.5 * state.surface.core[patch].sum()):
+            continue  # too small, or mostly explained by others
+        grown = [region for kind in KINDS if (region := _grow_kind(state, rows, kind)) is not None]
+        if grown:
+            best = max(grown, key=lambda region: region.evidence)
+            regions.append(_take(state, _outgrown(state, best)))
+    return regions
+
+
+def _take(state: _Pass, region: Region) -> Region:
+    """The region with the points beside it that it claims; marks both in the state."""
+    state.taken[region.rows[state.surface.core[region.rows]]] = True
+    claims = _claim(state, region)
+    state.claimed[claims] = True
+    return Region(np.union1d(region.rows, claims), region.primitive, region.evidence)
 
 
 def _grow_pass(state: _Pass) -> list[Region]:
     """Regions from every seed, deepest first; marks what they take and claim in the state."""
     points, core = state.points, state.surface.core
-    seeds = core & ~state.claimed
+    seeds = core & ~state.claimed & ~state.taken
     depth = np.full(len(points), np.inf)
-    if not seeds.all():
-        depth = KDTree(points[~core]).query(points)[0] if not core.all() else depth
+    ends = ~core | state.taken
+    if ends.any():
+        depth = KDTree(points[ends]).query(points)[0]
     regions: list[Region] = []
     while seeds.any():
         seed = int(np.argmax(np.where(seeds, depth, -1.0)))
@@ -148,12 +178,8 @@ def _grow_pass(state: _Pass) -> list[Region]:
             # The seed and its closest surroundings are given up, not only the seed: they would fail alike.
             seeds[state.surface.index[seed, :NUM_LINKS]] = False
             continue
-        inner = region.rows[core[region.rows]]
-        state.taken[inner] = True
-        claims = _claim(state, region)
-        state.claimed[claims] = True
-        rows = np.union1d(region.rows, claims)
-        regions.append(Region(rows, region.primitive, region.evidence))
+        regions.append(_take(state, region))
+        rows = regions[-1].rows
         seeds[rows] = False
         if seeds.any():
             depth[seeds] = np.minimum(depth[seeds], KDTree(points[rows]).query(points[seeds])[0])
@@ -167,7 +193,9 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
         return None
     quiet = is_quiet(state.surface)
     best: Region | None = None
-    for kind in KINDS:
+    # The likeliest kind first; where nobody knows, the simplest.
+    likely = state.log_types[patch].sum(axis=0)
+    for kind in sorted(KINDS, key=lambda kind: -likely[KINDS.index(kind)]):
         region = _grow_kind(state, patch, kind)
         if region is None:
             continue
@@ -176,12 +204,14 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
         # Without noise a surface of too few degrees of freedom does not outgrow its seed; with noise see below.
         if not quiet or len(region.rows) > 2.5 * len(patch):
             break
-    while best is not None:
-        better = _regrow(state, best)
-        if better is None:
-            break
-        best = better
-    return best
+    return None if best is None else _outgrown(state, best)
+
+
+def _outgrown(state: _Pass, region: Region) -> Region:
+    """The region, or what another kind makes of it, as long as that explains more."""
+    while (better := _regrow(state, region)) is not None:
+        region = better
+    return region
 
 
 def _regrow(state: _Pass, region: Region) -> Region | None:
@@ -212,9 +242,10 @@ def _refitted(state: _Pass, kind: str, rows: np.ndarray) -> kinds.Fitted | None:
     return kinds.fit(kind, state.points, state.surface.normal, rows, sample=sample, determined=False)
 
 
-def _evidence(kind: str, distance: np.ndarray, limit: float) -> float:
+def _evidence(state: _Pass, kind: str, rows: np.ndarray, distance: np.ndarray) -> float:
     """What points at these distances say for a primitive; one at the limit, three standard deviations, says nothing."""
-    return HANDICAP[kind] * float(np.sum(4.5 * (1.0 - np.square(distance / limit))))
+    fit = float(np.sum(4.5 * (1.0 - np.square(distance[rows] / state.tolerance))))
+    return HANDICAP[kind] * fit + TYPE_WEIGHT * float(state.log_types[rows, KINDS.index(kind)].sum())
 
 
 def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
@@ -250,7 +281,7 @@ def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:
             break
         done = np.array_equal(grown, rows)
         rows, primitive = grown, fitted.primitive
-        evidence = _evidence(kind, distance[grown], state.tolerance)
+        evidence = _evidence(state, kind, grown, distance)
         if done:
             break
     return None if primitive is None else Region(rows, primitive, evidence)

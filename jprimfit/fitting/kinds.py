@@ -96,8 +96,9 @@ def fit(
 
 
 def normals(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Unit normals of the primitive at at most SIZE_CLASSES[0] points."""
-    padded = np.pad(points, ((0, SIZE_CLASSES[0] - len(points)), (0, 0))).astype(np.float32)
+    """Unit normals of the primitive at the feet of the points."""
+    padding = max(SIZE_CLASSES[0], 1 << (len(points) - 1).bit_length()) - len(points)
+    padded = np.pad(points, ((0, padding), (0, 0))).astype(np.float32)
     return np.asarray(_normal(as_float32(primitive), padded))[: len(points)].astype(np.float64)
 
 

@@ -24,7 +24,7 @@ class Segmentation(NamedTuple):
     labels: Int32[np.ndarray, " n"]  # face of each point, -1 = none
     primitives: tuple[Primitive, ...]  # one per face; faces of one surface hold the same one, but for its gauge
     surface_of: Int32[np.ndarray, " f"]  # surface of each face
-    normals: Float64[np.ndarray, "n 3"]  # unit, of either sign
+    normals: Float64[np.ndarray, "n 3"]  # unit, of either sign: of the primitive; of the points where there is none
     distances: Float64[np.ndarray, " n"]  # >= 0, to the primitive of the label; NaN where it is -1
     noise: float  # standard deviation along the normal, length
 
@@ -50,14 +50,15 @@ def refine(
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     faces, surface_of = assignment.faces(points, described, labels)
     primitives = []
-    distances = np.full(len(points), np.nan)
+    distances, of_points = np.full(len(points), np.nan), described.normal.copy()
     for number, surface in enumerate(surface_of):
         rows = np.flatnonzero(faces == number)
         primitives.append(_centred(surfaces[surface].primitive, points[rows].mean(axis=0)))
         distances[rows] = kinds.distances(primitives[-1], points[rows])
+        of_points[rows] = kinds.normals(primitives[-1], points[rows])
     # Surfaces that lost all their faces leave no gap in the numbers.
     surface_of = np.unique(surface_of, return_inverse=True)[1].astype(np.int32)
-    return Segmentation(faces, tuple(primitives), surface_of, described.normal, distances, described.noise)
+    return Segmentation(faces, tuple(primitives), surface_of, of_points, distances, described.noise)
 
 
 def _centred(primitive: Primitive, mean: Float64[np.ndarray, "3"]) -> Primitive:

@@ -1,31 +1,24 @@
 """Instances from an embedding in which the points of one instance lie together: how many there are, and membership.
 
-Training asks for exp(-sharpness |e_n - mu_k|^2) to be largest at the own instance's mean mu_k, so the same kernel
-measures density here (its bandwidth is 1 / sqrt(2 sharpness) = 0.5) and nothing has to be tuned to the scale of the
-embedding. The densest point that no cluster explains yet is moved to its mode by mean shift (Y. Cheng, 1995), what the
-mode explains is taken away, and so on; the modes are then polished as the means of their members, and membership is
-the softmax that training knows. Letters: n points, m of them that are looked at, e channels, s clusters.
+Mean shift (Y. Cheng, 1995): seeds climb to the modes of the density of embeddings, modes closer than a merging
+distance are one, and the means of the points that are nearest to each mode become the prototypes of a
+softmax with the same kernel. The bandwidth was chosen on validation parts: a wider one
+unites small instances with their neighbours, a narrower one splits large faces. Letters: n points, m of them that are
+looked at, d seeds, e channels, s clusters.
 """
-
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
 NUM_CLUSTERS = 64  # capacity
-NUM_SEEDS = 2048  # points that are looked at for modes, evenly spaced in the order of the cloud
-SHARPNESS = 2.0  # as objectives/losses.LossConfig
-EXPLAINED = 0.5  # kernel value above which a point belongs to a mode
-MIN_SHARE = 0.002  # of the points: fewer are no cluster
-SHIFTS = 5
+NUM_SEEN = 2048  # points that the density is made of, evenly spaced in the order of the cloud
+NUM_SEEDS = 512  # of them, where mean shift starts
+SQ_BANDWIDTH = 0.05  # of the Gaussian kernel, squared units of the embedding
+SQ_MERGE = 0.25  # squared distance below which two modes are one
+MIN_SHARE = 0.003  # of the points: fewer are no cluster
+SHIFTS = 10
 POLISHES = 3
-
-
-class _Modes(NamedTuple):
-    center: Float[Array, "s e"]
-    valid: Bool[Array, "s"]
-    left: Bool[Array, "m"]  # points that no mode explains
 
 
 def cluster(
@@ -38,60 +31,59 @@ def cluster(
         mask: True = a point; rows of the others are 0.
         num_clusters: capacity s; where there are more clusters, the least dense ones share the others' columns.
     """
-    stride = -(-len(embedding) // NUM_SEEDS)
-    seen, seen_mask = embedding[::stride], mask[::stride]
-    weight = seen_mask.astype(embedding.dtype)
-    density = _kernel(seen, seen) @ weight
-    enough = MIN_SHARE * jnp.sum(weight)
-
-    def find(number: Array, modes: _Modes) -> _Modes:
-        start = jnp.argmax(jnp.where(modes.left, density, -1))
-        center = seen[start]
-        for _ in range(SHIFTS):
-            near = _kernel(seen, center[None, :])[:, 0] * weight
-            center = near @ seen / jnp.maximum(jnp.sum(near), 1e-6)
-        near = _kernel(seen, center[None, :])[:, 0]
-        explained = modes.left & (near > EXPLAINED)
-        known = jnp.any(modes.valid & (_kernel(modes.center, center[None, :])[:, 0] > EXPLAINED))
-        is_new = ~known & (jnp.sum(explained) >= jnp.maximum(enough, 2)) & jnp.any(modes.left)
-        return _Modes(
-            modes.center.at[number].set(center),
-            modes.valid.at[number].set(is_new),
-            # The start goes in any case, so that the search moves on.
-            modes.left & ~explained & (jnp.arange(len(seen)) != start),
-        )
-
-    empty = _Modes(
-        jnp.zeros((2 * num_clusters, embedding.shape[1]), embedding.dtype),
-        jnp.zeros(2 * num_clusters, bool),
-        seen_mask,
-    )
-    modes = lax.fori_loop(0, 2 * num_clusters, find, empty)
-    # Twice the capacity was tried, since some starts lead nowhere; the first found are the densest.
-    first = jnp.argsort(~modes.valid, stable=True)[:num_clusters]
-    center, valid = modes.center[first], modes.valid[first]
+    stride = -(-len(embedding) // NUM_SEEN)
+    seen, weight = embedding[::stride], mask[::stride].astype(embedding.dtype)
+    every = -(-len(seen) // NUM_SEEDS)
+    modes, density = _climb(seen, weight, seen[::every], weight[::every])
+    center, valid = _apart(modes, density, num_clusters)
+    enough = jnp.maximum(MIN_SHARE * jnp.sum(weight), 1)
     for _ in range(POLISHES):
-        member = _membership(seen, center, valid) * weight[:, None]
+        nearest = jnp.argmin(jnp.where(valid[None, :], _sq_distances(seen, center), jnp.inf), axis=1)
+        member = (nearest[:, None] == jnp.arange(num_clusters)) * (weight[:, None] * valid[None, :])
         total = jnp.sum(member, axis=0)
-        center = jnp.where((total > 0)[:, None], member.T @ seen / jnp.maximum(total, 1e-6)[:, None], center)
-        valid = valid & (total >= enough)
-    return jnp.where(mask[:, None], _membership(embedding, center, valid), 0)
+        center = jnp.where((total > 0)[:, None], member.T @ seen / jnp.maximum(total, 1)[:, None], center)
+        # The largest stays in any case: a cloud is never without a cluster.
+        valid = valid & ((total >= enough) | (total == jnp.max(total)))
+    logits = jnp.where(valid[None, :], -_sq_distances(embedding, center) / (2 * SQ_BANDWIDTH), -jnp.inf)
+    weights = jnp.exp(logits - jnp.max(logits, axis=1, keepdims=True))
+    return jnp.where(mask[:, None], weights / jnp.sum(weights, axis=1, keepdims=True), 0)
 
 
-def _kernel(a: Float[Array, "n e"], b: Float[Array, "s e"]) -> Float[Array, "n s"]:
-    """exp(-sharpness |a_i - b_j|^2)."""
-    return jnp.exp(-SHARPNESS * _sq_distances(a, b))
+def _climb(
+    seen: Float[Array, "m e"], weight: Float[Array, "m"], seeds: Float[Array, "d e"], is_seed: Float[Array, "d"]
+) -> tuple[Float[Array, "d e"], Float[Array, "d"]]:
+    """Where mean shift leads the seeds, and the density there; -1 for seeds that are none."""
+
+    def kernel(center: Array) -> Array:
+        return jnp.exp(-_sq_distances(center, seen) / (2 * SQ_BANDWIDTH)) * weight
+
+    def shift(_, center: Array) -> Array:
+        near = kernel(center)
+        return near @ seen / jnp.maximum(jnp.sum(near, axis=1, keepdims=True), 1e-6)
+
+    modes = lax.fori_loop(0, SHIFTS, shift, seeds)
+    return modes, jnp.where(is_seed > 0, jnp.sum(kernel(modes), axis=1), -1)
 
 
-def _sq_distances(a: Array, b: Array) -> Array:
+def _apart(
+    modes: Float[Array, "d e"], density: Float[Array, "d"], num_clusters: int
+) -> tuple[Float[Array, "s e"], Bool[Array, "s"]]:
+    """The densest modes of which no two are closer than the merging distance."""
+
+    def take(number: Array, state: tuple) -> tuple:
+        center, valid, left = state
+        best = jnp.argmax(left)
+        found = left[best] > 0
+        near = _sq_distances(modes, modes[best][None, :])[:, 0] <= SQ_MERGE
+        left = jnp.where(near | (jnp.arange(len(left)) == best), -1, left)
+        return center.at[number].set(modes[best]), valid.at[number].set(found), left
+
+    empty = jnp.zeros((num_clusters, modes.shape[1]), modes.dtype), jnp.zeros(num_clusters, bool), density
+    center, valid, _ = lax.fori_loop(0, num_clusters, take, empty)
+    return center, valid
+
+
+def _sq_distances(a: Float[Array, "n e"], b: Float[Array, "s e"]) -> Float[Array, "n s"]:
     product = jnp.matmul(a, b.T, precision=lax.Precision.HIGHEST)
     squares = jnp.sum(jnp.square(a), axis=1)[:, None] + jnp.sum(jnp.square(b), axis=1)[None, :]
     return jnp.maximum(squares - 2 * product, 0)
-
-
-def _membership(embedding: Array, center: Array, valid: Array) -> Array:
-    """The softmax over the valid clusters; all zero where there is none."""
-    logits = jnp.where(valid[None, :], -SHARPNESS * _sq_distances(embedding, center), -jnp.inf)
-    top = jnp.max(logits, axis=1, keepdims=True)
-    weights = jnp.exp(logits - jnp.where(jnp.isfinite(top), top, 0))
-    return weights / jnp.maximum(jnp.sum(weights, axis=1, keepdims=True), 1e-6)

@@ -24,7 +24,7 @@ from jprimfit.types import Prediction, Truth
 
 @dataclasses.dataclass(frozen=True)
 class LossConfig:
-    """Weights of the terms, 0 = left out; prototype and spread are terms of the head "prototype" only.
+    """Weights of the terms, 0 = left out; prototype, spread and similarity are terms of the head "prototype" only.
 
     ValueError if a weight is negative or the sharpness is not positive.
     """
@@ -37,6 +37,7 @@ class LossConfig:
     orthogonality: float = 0.0
     prototype: float = 1.0
     spread: float = 0.1
+    similarity: float = 0.0
     total: float = 1.0  # multiplies the weighted sum
     sharpness: float = 2.0  # of the prototypes' softmax, per squared unit of the embedding
     fit_points: int = 0  # points that parameter and residue fit to, every n / fit_points-th row; 0 = all
@@ -76,6 +77,8 @@ def _membership_terms(prediction, truth, points, config) -> dict[str, Float[Arra
             terms["prototype"] = prototypes.cross_entropy(found, own)
         if config.spread:
             terms["spread"] = prototypes.spread(found, own)
+        if config.similarity:
+            terms["similarity"] = prototypes.similarity(prediction.embedding, own, sharpness=config.sharpness)
         membership = columns = prototypes.membership_of(found, own)
     elif prediction.membership_logits is not None:
         membership = memberships.of_logits(prediction.membership_logits, truth.mask)

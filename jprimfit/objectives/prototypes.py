@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jprimfit.geometry import safe
@@ -59,14 +60,40 @@ def cross_entropy(found: Prototypes, membership: Float[Array, "n i"]) -> Float[A
     Background and padding do not count; 0 where no point has an instance. The second half keeps small instances from
     drowning among large ones.
     """
-    surprise = -jnp.where(membership > 0, found.log_membership, 0)
-    by_instance, count = jnp.sum(surprise, axis=0), jnp.sum(membership, axis=0)
-    per_point = safe.divide(jnp.sum(by_instance), jnp.sum(count))
-    num_present = jnp.sum(found.present).astype(count.dtype)
-    per_instance = safe.divide(jnp.sum(safe.divide(by_instance, count)), num_present)
-    return (per_point + per_instance) / 2
+    return _balanced(-jnp.where(membership > 0, found.log_membership, 0), membership)
 
 
 def spread(found: Prototypes, membership: Float[Array, "n i"]) -> Float[Array, ""]:
-    """Mean squared distance of the points that have an instance to their own prototype; 0 without such points."""
-    return safe.divide(jnp.sum(found.sq_distance), jnp.sum(membership))
+    """Squared distance of the points to their own prototype, in the mean of cross_entropy."""
+    return _balanced(membership * found.sq_distance[:, None], membership)
+
+
+def similarity(
+    embedding: Float[Array, "n e"], membership: Float[Array, "n i"], *, num_seeds: int = 128, sharpness: float = 2.0
+) -> Float[Array, ""]:
+    """How badly exp(-sharpness |e_n - e_m|^2) tells whether points n and m are of one instance: -log of the truth.
+
+    m runs over num_seeds rows at even steps, n over all. Of a seed the mean over its own instance counts, and the sum
+    over the others of their means, since only those beside it are hard to tell; seeds in the mean of cross_entropy
+    (after Fathi et al. 2017, "Semantic instance segmentation via deep metric learning").
+    """
+    seeds = np.arange(num_seeds) * len(embedding) // num_seeds
+    shift = jax.lax.stop_gradient(jnp.mean(embedding, axis=0))[None, :]
+    embedding = embedding - shift
+    square = jnp.sum(embedding * embedding, axis=1)
+    product = jnp.matmul(embedding[seeds], embedding.T, precision=HIGHEST)
+    distance = sharpness * jnp.maximum(square[seeds, None] + square[None, :] - 2 * product, 0)
+    share = membership / jnp.maximum(jnp.sum(membership, axis=0), 1)[None, :]  # of a point in its instance
+    same = jnp.matmul(membership[seeds], membership.T)
+    apart = jnp.where(same > 0, 0, -jnp.log(-jnp.expm1(-jnp.maximum(distance, 1e-3))))
+    surprise = jnp.sum((distance * same + apart) * jnp.sum(share, axis=1)[None, :], axis=1)
+    return _balanced(surprise[:, None] * membership[seeds], membership[seeds])
+
+
+def _balanced(values: Float[Array, "n i"], membership: Float[Array, "n i"]) -> Float[Array, ""]:
+    """Half the mean over points, half the mean over instances of their means; 0 where no point has an instance."""
+    by_instance, count = jnp.sum(values, axis=0), jnp.sum(membership, axis=0)
+    per_point = safe.divide(jnp.sum(by_instance), jnp.sum(count))
+    num_present = jnp.sum(count > 0).astype(count.dtype)
+    per_instance = safe.divide(jnp.sum(safe.divide(by_instance, count)), num_present)
+    return (per_point + per_instance) / 2

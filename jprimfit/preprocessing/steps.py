@@ -9,7 +9,7 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int, Int32, Num
+from jaxtyping import Float32, Int32, Num
 
 from jprimfit.geometry import host
 from jprimfit.preprocessing.downsampling import downsample
@@ -79,7 +79,7 @@ def preprocess(
 
 
 def propagate(
-    labels: Int[np.ndarray, "m"], from_points: Num[np.ndarray, "m 3"], to_points: Num[np.ndarray, "n 3"]
-) -> Int[np.ndarray, "n"]:
-    """The label of the nearest of from_points for each of to_points; both clouds in one frame, m >= 1."""
-    return labels[host.knn(to_points, from_points, k=1).index[:, 0]]
+    values: Num[np.ndarray, "m *rest"], from_points: Num[np.ndarray, "m 3"], to_points: Num[np.ndarray, "n 3"]
+) -> Num[np.ndarray, "n *rest"]:
+    """The value (label, normal) of the nearest of from_points for each of to_points; clouds in one frame, m >= 1."""
+    return values[host.knn(to_points, from_points, k=1).index[:, 0]]

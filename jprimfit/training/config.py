@@ -64,6 +64,7 @@ class TrainConfig:
     batch_size: int = 32  # clouds, over all devices
     steps: int | None = None  # of the whole run; wins over epochs where both are given
     epochs: float | None = None
+    start_from: str | None = None  # name or folder of a model of the same architecture: its weights are the first ones
     validate_every: int = 2000  # steps; 0 = at the end only
     validation_batch_size: int = 8
     checkpoint_every: int = 500

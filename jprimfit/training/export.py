@@ -34,6 +34,8 @@ def export(
     for section in ("data", "validation"):
         told[section] |= {key: Path(told[section][key]).name for key in ("file", "cache")}
     arrays = jax.tree.map(np.asarray, variables(state))
+    start = told["train"]["start_from"]
+    told["train"]["start_from"] = start and Path(start).name
     place = folder.resolve()
     name = place.parent.name if place.name in ("best", "last") else place.name
     model = weights.Model(config.model, arrays, name, {"steps": int(state.step), "settings": told, **(info or {})})

@@ -24,7 +24,7 @@ from jprimfit.training.config import Config, num_steps
 from jprimfit.training.export import export
 from jprimfit.training.progress import Progress
 from jprimfit.training.sources import Sources, open_sources, validation_batches
-from jprimfit.training.step import CLOUD, Batch, initial_variables, train_step
+from jprimfit.training.step import CLOUD, Batch, first_variables, train_step
 from jprimfit.training.validation import SCORES, validator
 from jprimfit.training.writer import Writer, read
 
@@ -60,7 +60,7 @@ def train(config: Config, folder: Path, *, fresh: bool = False) -> Outcome:
         sources = open_sources(config)
         checkpoints = stack.enter_context(Checkpoints(folder / "checkpoints", config=settings.to_mapping(config)))
         cloud = jax.tree.map(lambda x: x[0], sources.training.batch(0, 1))
-        variables = initial_variables(Segmenter(config.model), cloud, config=config)
+        variables = first_variables(config, cloud)
         initial = state.create(variables, config=config.optimizer)
         found = checkpoints.restore(initial)
         resumed_step = None if found is None else found[0]

@@ -9,13 +9,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num
+from jaxtyping import Array, Num
 
 from jprimfit.data.examples import Example
-from jprimfit.geometry.hierarchy import from_index_sets
-from jprimfit.networks.clustering import cluster
-from jprimfit.objectives import memberships, metrics
-from jprimfit.types import Prediction
+from jprimfit.networks.inference import segment
+from jprimfit.objectives import metrics
 
 NAMES = ("miou", "type_accuracy", "normal_deg")  # shares in [0, 1], degrees
 SCORES = (*NAMES, "num_segments")
@@ -31,8 +29,9 @@ def validator(segmenter: Any, *, pooled: bool) -> Callable[[Any, Iterable[Exampl
     @jax.jit
     def scores(variables: Any, example: Example) -> dict[str, Array]:
         def one(example):
-            prediction, membership = segmentation(segmenter, variables, example, pooled=pooled)
-            points = example.points[example.query.astype(jnp.int32)]
+            query = example.query.astype(jnp.int32)
+            prediction, membership = segment(segmenter, variables, example, query, example.truth.mask, pooled=pooled)
+            points = example.points[query]
             segments = metrics.segments_of(
                 points,
                 membership,
@@ -53,25 +52,6 @@ def validator(segmenter: Any, *, pooled: bool) -> Callable[[Any, Iterable[Exampl
         return {name: _mean(values) for name, values in columns.items()}
 
     return validate
-
-
-def segmentation(
-    segmenter: Any, variables: Any, example: Example, *, pooled: bool
-) -> tuple[Prediction, Float[Array, "q s"]]:
-    """The prediction for one cloud and the soft membership in it, a row for each query."""
-    hierarchy = from_index_sets(example.points, example.sets, example.mask)
-    inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
-    prediction: Prediction = segmenter.apply(variables, *inputs, train=False)
-    mask = example.truth.mask
-    if prediction.embedding is not None:
-        membership = cluster(prediction.embedding, mask)
-    else:
-        membership = memberships.of_logits(prediction.membership_logits, mask)  # pyright: ignore[reportArgumentType]
-    if pooled:
-        # The same network on the same cloud again: the compiler merges what both have in common.
-        judged = segmenter.apply(variables, *inputs, train=False, segments=membership)
-        prediction = prediction._replace(segment_type_logits=judged.segment_type_logits)
-    return prediction, membership
 
 
 def _mean(values: Num[np.ndarray, "b"]) -> float:

@@ -1,0 +1,96 @@
+"""What a shipped network says of one cloud: prepare, apply, cluster.
+
+The network sees at most as many points as it was made for, chosen to lie evenly, in the normalised frame. Host code
+around one jitted function. Letters: n points of the cloud, m of them that the network sees, s segments.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Float32, Int
+
+from jprimfit.geometry import host
+from jprimfit.geometry.hierarchy import from_index_sets
+from jprimfit.geometry.preparation import Prepared, prepare
+from jprimfit.geometry.sampling import optimised_farthest_points
+from jprimfit.networks.clustering import cluster
+from jprimfit.networks.segmenter import Segmenter, SegmenterConfig
+from jprimfit.networks.weights import Model
+from jprimfit.types import Prediction
+
+
+class Answer(NamedTuple):
+    """The network's view of m of the points, NumPy on the host."""
+
+    rows: Int[np.ndarray, "m"]  # int32, of the cloud
+    membership: Float32[np.ndarray, "m s"]  # rows sum to 1; columns of no segment are 0
+    type_probability: Float32[np.ndarray, "m 4"]  # in the order of primitives/table.KINDS
+    normals: Float32[np.ndarray, "m 3"]  # unit, of either sign
+
+
+def ask(model: Model, points: Float[np.ndarray, "n 3"]) -> Answer:
+    """The answer of a network for a cloud of n >= 1 points in any frame."""
+    config = model.config
+    rows = np.arange(len(points), dtype=np.int32)
+    if len(points) > config.num_points:
+        scaled, _ = host.normalize(points)
+        rows = np.sort(np.asarray(_sample(scaled, num_samples=config.num_points)))
+    seen, _ = host.normalize(points[rows])
+    prepared = prepare(
+        seen, spec=config.hierarchy, neighborhoods=config.neighborhoods, num_points=config.num_points, workers=-1
+    )
+    membership, types, normals = jax.device_get(_apply(model.variables, prepared, config=config))
+    valid = slice(0, len(rows))
+    return Answer(rows, membership[valid], types[valid], normals[valid])
+
+
+def segment(
+    segmenter: Any,
+    variables: Any,
+    cloud: Any,
+    query: Int[Array, "q"] | None = None,
+    mask: Bool[Array, "q"] | None = None,
+    *,
+    pooled: bool,
+) -> tuple[Prediction, Float[Array, "q s"]]:
+    """What a network says of one cloud, and the membership that follows from it; a function of JAX arrays.
+
+    Args:
+        segmenter: a Segmenter.
+        variables: its parameters and statistics.
+        cloud: with the fields of geometry/preparation.Prepared.
+        query: rows of the points that are asked for; None = all.
+        mask: which of those are no padding; None = as the cloud says.
+        pooled: the network judges the types of whole segments (config.types), those that it found.
+    """
+    hierarchy = from_index_sets(cloud.points, cloud.sets, cloud.mask)
+    inputs = (cloud.points, hierarchy, cloud.local_normals, cloud.curvature, query)
+    mask = cloud.mask if mask is None else mask
+    prediction: Prediction = segmenter.apply(variables, *inputs, train=False)
+    if prediction.embedding is not None:
+        membership = cluster(prediction.embedding, mask)
+    else:
+        logits: Any = prediction.membership_logits
+        membership = jnp.where(mask[:, None], jax.nn.softmax(logits, axis=1), 0)
+    if pooled:
+        # The same network on the same cloud: the compiler merges what both calls have in common.
+        judged = segmenter.apply(variables, *inputs, train=False, segments=membership)
+        prediction = prediction._replace(segment_type_logits=judged.segment_type_logits)
+    return prediction, membership
+
+
+_sample = jax.jit(optimised_farthest_points, static_argnames="num_samples")
+
+
+@partial(jax.jit, static_argnames="config")
+def _apply(variables: Any, prepared: Prepared, *, config: SegmenterConfig) -> tuple[Array, Array, Array]:
+    """Membership, type probabilities and normals of all points of a prepared cloud."""
+    prediction, membership = segment(Segmenter(config), variables, prepared, pooled=config.types == "pooled")
+    if prediction.segment_type_logits is None:
+        types = jax.nn.softmax(prediction.type_logits, axis=1)
+    else:
+        types = membership @ jax.nn.softmax(prediction.segment_type_logits, axis=1)
+    return membership, types, prediction.normals
