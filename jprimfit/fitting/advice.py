@@ -18,7 +18,7 @@ LEAST_PROBABILITY = 0.02  # of a kind: networks are surer than they should be
 class Advice(NamedTuple):
     """What a network says of n points."""
 
-    patches: tuple[Int[np.ndarray, " r"], ...]  # rows of points in the heart of each segment
+    patches: tuple[Int[np.ndarray, "_"], ...]  # rows of points in the heart of each segment
     log_types: Float[np.ndarray, "n 4"]  # log-probability of each kind, in the order of primitives/table.KINDS
     normals: Float[np.ndarray, "n 3"]  # unit, of either sign
 

@@ -24,6 +24,8 @@ SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
 SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
 MAX_LINK = 3.0  # length of a link, in distances to the farthest of the voters
 MIN_FACE = 6  # points; a smaller part cut off from its surface is no face
+SPECK = 4.0  # tolerances: radius below which noise alone can look like a face
+SPECK_SHARE = 0.005  # of all points; what is larger is no speck under any noise (as SPFN's smallest segment)
 
 
 def assign(
@@ -76,6 +78,16 @@ def faces(
     surface_of = np.zeros(len(order), dtype=np.int32)
     surface_of[face[face >= 0]] = labels[face >= 0]
     return face.astype(np.int32), surface_of
+
+
+def without_specks(
+    points: Float[np.ndarray, "n 3"], surface: LocalSurface, labels: Int[np.ndarray, " n"], *, tolerance: float
+) -> Int[np.ndarray, " n"]:
+    """The labels with -1 on faces so small that they may be noise: assign then asks what lies around them."""
+    face, _ = faces(points, surface, labels)
+    size = np.append(np.bincount(face[face >= 0], minlength=1), 0)[face]
+    smallest = min(np.pi * (SPECK * tolerance / surface.spacing) ** 2, SPECK_SHARE * len(points))
+    return np.where(size < max(smallest, MIN_FACE), -1, labels).astype(np.int32)
 
 
 def _near(points, index, start, end) -> np.ndarray:

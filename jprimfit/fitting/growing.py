@@ -139,7 +139,7 @@ def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"], log_t
     return _Pass(points, surface, cloud, links, log_types, tolerance(surface), taken, claimed.copy())
 
 
-def _grow_patches(state: _Pass, patches: tuple[Int[np.ndarray, " r"], ...]) -> list[Region]:
+def _grow_patches(state: _Pass, patches: tuple[Int[np.ndarray, "_"], ...]) -> list[Region]:
     """Regions from the smooth points of given patches, the largest first; marks what they take and claim."""
     regions: list[Region] = []
     for patch in sorted(patches, key=lambda patch: -len(patch)):

@@ -99,7 +99,8 @@ def normals(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.
     """Unit normals of the primitive at the feet of the points."""
     padding = max(SIZE_CLASSES[0], 1 << (len(points) - 1).bit_length()) - len(points)
     padded = np.pad(points, ((0, padding), (0, 0))).astype(np.float32)
-    return np.asarray(_normal(as_float32(primitive), padded))[: len(points)].astype(np.float64)
+    found = np.asarray(_normal(as_float32(primitive), padded))[: len(points)].astype(np.float64)
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
 def distances(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

@@ -1,8 +1,8 @@
 """From surfaces proposed on a sample to the answer at full resolution: every point assigned, every surface refitted.
 
-Assign each point to its surface, refit each surface to its points, and again; then split the surfaces into connected
-faces. Assignment and parameters come from the raw points, whatever was thinned or smoothed for the proposal.
-Host code around jitted fits; lengths in the normalised frame. n points, f faces.
+Assign each point to its surface, give specks to what lies around them, refit each surface to its points, and again;
+then split the surfaces into connected faces. Assignment and parameters come from the raw points, whatever was thinned
+or smoothed for the proposal. Host code around jitted fits; lengths in the normalised frame. n points, f faces.
 """
 
 from typing import NamedTuple
@@ -46,6 +46,8 @@ def refine(
     # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
     surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     for _ in range(ROUNDS):
+        labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
+        labels = assignment.without_specks(points, described, labels, tolerance=tolerance)
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     faces, surface_of = assignment.faces(points, described, labels)

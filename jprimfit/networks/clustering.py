@@ -39,7 +39,7 @@ def cluster(
     enough = jnp.maximum(MIN_SHARE * jnp.sum(weight), 1)
     for _ in range(POLISHES):
         nearest = jnp.argmin(jnp.where(valid[None, :], _sq_distances(seen, center), jnp.inf), axis=1)
-        member = (nearest[:, None] == jnp.arange(num_clusters)) * (weight[:, None] * valid[None, :])
+        member = (nearest[:, None] == jnp.arange(num_clusters)[None, :]) * (weight[:, None] * valid[None, :])
         total = jnp.sum(member, axis=0)
         center = jnp.where((total > 0)[:, None], member.T @ seen / jnp.maximum(total, 1)[:, None], center)
         # The largest stays in any case: a cloud is never without a cluster.
@@ -55,7 +55,7 @@ def _climb(
     """Where mean shift leads the seeds, and the density there; -1 for seeds that are none."""
 
     def kernel(center: Array) -> Array:
-        return jnp.exp(-_sq_distances(center, seen) / (2 * SQ_BANDWIDTH)) * weight
+        return jnp.exp(-_sq_distances(center, seen) / (2 * SQ_BANDWIDTH)) * weight[None, :]
 
     def shift(_, center: Array) -> Array:
         near = kernel(center)

@@ -93,10 +93,16 @@ def test_points_on_a_sharp_edge_go_to_the_smaller_face(parts):
     np.testing.assert_array_equal(found.labels, np.where((points[:, 2] > 0) | on_edge, 1, 0))
 
 
-def test_measured_normals_come_back(parts):
+def test_normals_are_those_of_the_surfaces_and_of_the_points_where_there_is_none(parts):
     part = parts.fillet()
-    found = refine(part.points, *truth_of(part), part.normals)
-    np.testing.assert_array_equal(found.normals, part.normals)
+    surfaces, labels = truth_of(part)
+    measured = np.where(labels[:, None] == len(surfaces) - 1, [[0.6, 0.8, 0.0]], part.normals)
+    labels[labels == len(surfaces) - 1] = -1
+    found = refine(part.points, surfaces[:-1], labels, measured)
+    used = found.labels >= 0
+    assert 0 < used.sum() < len(labels)
+    assert np.abs(np.sum(found.normals * part.normals, axis=1))[used].mean() > 0.999
+    np.testing.assert_array_equal(found.normals[~used], measured[~used])
 
 
 def test_no_surfaces_no_faces(parts):
