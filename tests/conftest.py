@@ -1,5 +1,6 @@
 """Common ground of the tests: shape checks on, warnings are errors, one compilation cache, one tolerance table."""
 
+import gc
 import importlib.util
 import os
 from pathlib import Path
@@ -21,6 +22,19 @@ if importlib.util.find_spec("beartype"):
 
 # The largest error that rounding alone explains, for quantities of size one: absolute, by dtype.
 TOLERANCE = {"float32": 2e-5, "float64": 1e-10}
+
+
+# Linux allows a process 65,530 memory maps; every compiled program holds some, and beyond the limit XLA crashes.
+MAPS, MAX_MAPS = Path("/proc/self/maps"), 30_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Forgets the compiled programs of earlier files before there are too many."""
+    yield
+    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MAX_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

@@ -36,8 +36,7 @@ def ask(model: Model, points: Float[np.ndarray, "n 3"]) -> Answer:
     config = model.config
     rows = np.arange(len(points), dtype=np.int32)
     if len(points) > config.num_points:
-        scaled, _ = host.normalize(points)
-        rows = np.sort(np.asarray(_sample(scaled, num_samples=config.num_points)))
+        rows = _even_rows(points, config.num_points)
     seen, _ = host.normalize(points[rows])
     prepared = prepare(
         seen, spec=config.hierarchy, neighborhoods=config.neighborhoods, num_points=config.num_points, workers=-1
@@ -45,6 +44,16 @@ def ask(model: Model, points: Float[np.ndarray, "n 3"]) -> Answer:
     membership, types, normals = jax.device_get(_apply(model.variables, prepared, config=config))
     valid = slice(0, len(rows))
     return Answer(rows, membership[valid], types[valid], normals[valid])
+
+
+def _even_rows(points: Float[np.ndarray, "n 3"], num_samples: int) -> Int[np.ndarray, " m"]:
+    """Ascending rows of points that lie evenly; compiled once for all clouds up to a power of two."""
+    scaled, _ = host.normalize(points)
+    copies = (1 << (len(points) - 1).bit_length()) - len(points)
+    # A copy of the first point is as far from the chosen ones as that point itself.
+    padded = np.concatenate([scaled, np.repeat(scaled[:1], copies, axis=0)])
+    chosen = np.asarray(_sample(padded, num_samples=num_samples))
+    return np.unique(np.where(chosen < len(points), chosen, 0)).astype(np.int32)
 
 
 def segment(
