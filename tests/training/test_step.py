@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jprimfit.networks import weights
 from jprimfit.networks.segmenter import Segmenter
 from jprimfit.training import parallel, state, step
 from jprimfit.training.config import from_mapping
@@ -121,3 +122,16 @@ def test_losses_that_are_not_finite_are_told(setting, toy_batch):
     _, metrics = devices.step(devices.replicate(setting.start), devices.shard(batch))
     assert not devices.first(metrics)["finite"]
     assert jnp.isnan(devices.first(metrics)["total"])
+
+
+def test_a_run_may_start_from_a_model_of_the_same_settings(setting, toy_mapping, toy_batch, tmp_path):
+    cloud = jax.tree.map(lambda x: x[0], toy_batch)
+    variables = state.variables(setting.start)
+    variables = jax.tree.map(lambda x: x + 1, variables)
+    weights.save(tmp_path / "weights", weights.Model(setting.config.model, variables, "before", {}))
+    toy_mapping["train"]["start_from"] = str(tmp_path)
+    found = step.first_variables(from_mapping(toy_mapping, source="test"), cloud)
+    jax.tree.map(np.testing.assert_array_equal, found, variables)
+    toy_mapping["model"]["shared"] = 8
+    with pytest.raises(ValueError, match=r"other settings of model\.shared"):
+        step.first_variables(from_mapping(toy_mapping, source="test"), cloud)
