@@ -9,7 +9,7 @@ not change under rotation. Letters: b examples, n points, q queries; a leading a
 import math
 import queue
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -166,7 +166,7 @@ def prefetch(
     shard: tuple[int, int] = (0, 1),
     depth: int = 2,
     place: Callable[[Example], Any] | None = None,
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any]]:
     """(step, batch) from first_step up to, not including, last_step (None = for ever), made ahead by one thread.
 
     At most `depth` batches wait, those in `place` (which puts a batch on the device, in the thread) included. An error

@@ -77,13 +77,13 @@ def segment(
     """
     hierarchy = from_index_sets(cloud.points, cloud.sets, cloud.mask)
     inputs = (cloud.points, hierarchy, cloud.local_normals, cloud.curvature, query)
-    mask = cloud.mask if mask is None else mask
+    valid: Any = cloud.mask if mask is None else mask
     prediction: Prediction = segmenter.apply(variables, *inputs, train=False)
     if prediction.embedding is not None:
-        membership = cluster(prediction.embedding, mask)
+        membership = cluster(prediction.embedding, valid)
     else:
         logits: Any = prediction.membership_logits
-        membership = jnp.where(mask[:, None], jax.nn.softmax(logits, axis=1), 0)
+        membership = jnp.where(valid[:, None], jax.nn.softmax(logits, axis=1), 0)
     if pooled:
         # The same network on the same cloud: the compiler merges what both calls have in common.
         judged = segmenter.apply(variables, *inputs, train=False, segments=membership)

@@ -1,7 +1,7 @@
 """The folder of one run: whose it is, what may be resumed in it, and where an old run goes.
 
 config.yaml    all settings of the run          metrics.jsonl   what was measured, a line each
-checkpoints/   to resume from                   best/, last/    exported models: weights.npz and model.yaml
+checkpoints/   to resume from                   best/, last/    exported models: weights.npz and weights.yaml
 """
 
 import contextlib
