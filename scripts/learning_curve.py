@@ -103,8 +103,8 @@ def _straight(x: Any, source: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def _running_mean(values: np.ndarray) -> np.ndarray:
-    """Mean of the WINDOW values around each, of fewer at the ends."""
-    ones = np.ones(min(WINDOW, len(values)))
+    """Mean of the values around each, at most WINDOW and a twentieth of all; of fewer at the ends."""
+    ones = np.ones(min(WINDOW, max(1, len(values) // 20)))
     return np.convolve(np.nan_to_num(values), ones, "same") / np.convolve(np.isfinite(values), ones, "same").clip(1)
 
 
