@@ -9,14 +9,15 @@ looked at, d seeds, e channels, s clusters.
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 NUM_CLUSTERS = 64  # capacity
 NUM_SEEN = 2048  # points that the density is made of, evenly spaced in the order of the cloud
 NUM_SEEDS = 512  # of them, where mean shift starts
 SQ_BANDWIDTH = 0.05  # of the Gaussian kernel, squared units of the embedding
 SQ_MERGE = 0.25  # squared distance below which two modes are one
-MIN_SHARE = 0.003  # of the points: fewer are no cluster
+MIN_SHARE = 0.003  # of the points that are looked at: fewer are no cluster
+MIN_POINTS = 4  # nor are so few of a small cloud: a plane goes through any three
 SHIFTS = 10
 POLISHES = 3
 
@@ -31,26 +32,37 @@ def cluster(
         mask: True = a point; rows of the others are 0.
         num_clusters: capacity s; where there are more clusters, the least dense ones share the others' columns.
     """
-    stride = -(-len(embedding) // NUM_SEEN)
-    seen, weight = embedding[::stride], mask[::stride].astype(embedding.dtype)
-    every = -(-len(seen) // NUM_SEEDS)
-    modes, density = _climb(seen, weight, seen[::every], weight[::every])
+    # Padding must not count: the same cloud in a longer array has the same clusters.
+    num_points = jnp.sum(mask)
+    index, is_seen = _evenly(num_points, min(NUM_SEEN, len(mask)))
+    seen = embedding[jnp.flatnonzero(mask, size=len(mask), fill_value=0)[index]]
+    weight = is_seen.astype(embedding.dtype)
+    index, is_seed = _evenly(jnp.sum(is_seen), min(NUM_SEEDS, len(mask)))
+    modes, density = _climb(seen, weight, seen[index], is_seed)
     center, valid = _apart(modes, density, num_clusters)
-    enough = jnp.maximum(MIN_SHARE * jnp.sum(weight), 1)
+    enough = jnp.maximum(MIN_SHARE * jnp.sum(weight), MIN_POINTS)
     for _ in range(POLISHES):
         nearest = jnp.argmin(jnp.where(valid[None, :], _sq_distances(seen, center), jnp.inf), axis=1)
         member = (nearest[:, None] == jnp.arange(num_clusters)[None, :]) * (weight[:, None] * valid[None, :])
         total = jnp.sum(member, axis=0)
         center = jnp.where((total > 0)[:, None], member.T @ seen / jnp.maximum(total, 1)[:, None], center)
         # The largest stays in any case: a cloud is never without a cluster.
-        valid = valid & ((total >= enough) | (total == jnp.max(total)))
+        valid = valid & ((total >= enough) | (jnp.arange(num_clusters) == jnp.argmax(total)))
     logits = jnp.where(valid[None, :], -_sq_distances(embedding, center) / (2 * SQ_BANDWIDTH), -jnp.inf)
     weights = jnp.exp(logits - jnp.max(logits, axis=1, keepdims=True))
     return jnp.where(mask[:, None], weights / jnp.sum(weights, axis=1, keepdims=True), 0)
 
 
+def _evenly(count: Int[Array, ""], capacity: int) -> tuple[Int[Array, "m"], Bool[Array, "m"]]:
+    """Distinct numbers spaced evenly in 0 .. count - 1, m = capacity of them or all there are; which are no padding."""
+    number = jnp.arange(capacity)
+    most = jnp.minimum(count, capacity)
+    valid = number < most
+    return jnp.where(valid, number * count // jnp.maximum(most, 1), 0), valid
+
+
 def _climb(
-    seen: Float[Array, "m e"], weight: Float[Array, "m"], seeds: Float[Array, "d e"], is_seed: Float[Array, "d"]
+    seen: Float[Array, "m e"], weight: Float[Array, "m"], seeds: Float[Array, "d e"], is_seed: Bool[Array, "d"]
 ) -> tuple[Float[Array, "d e"], Float[Array, "d"]]:
     """Where mean shift leads the seeds, and the density there; -1 for seeds that are none."""
 
@@ -62,7 +74,7 @@ def _climb(
         return near @ seen / jnp.maximum(jnp.sum(near, axis=1, keepdims=True), 1e-6)
 
     modes = lax.fori_loop(0, SHIFTS, shift, seeds)
-    return modes, jnp.where(is_seed > 0, jnp.sum(kernel(modes), axis=1), -1)
+    return modes, jnp.where(is_seed, jnp.sum(kernel(modes), axis=1), -1)
 
 
 def _apart(

@@ -1,6 +1,7 @@
 """Clusters of made-up embeddings: how many, which points, whatever the order, the padding and the capacity."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -40,7 +41,7 @@ def assert_found(membership, labels):
 
 @pytest.mark.parametrize(
     "sizes",
-    [(600,), (300, 200, 97, 3), (10,) * 60, (575, 5, 5, 5, 5, 5), (30, 30)],
+    [(600,), (300, 200, 95, 5), (10,) * 60, (575, 5, 5, 5, 5, 5), (30, 30)],
     ids=lambda s: f"{len(s)} of {s[0]}",
 )
 def test_clusters_are_found_with_their_number(sizes):
@@ -70,7 +71,7 @@ def test_more_clusters_than_columns_keeps_the_dense_ones():
 
 
 def test_the_order_of_the_points_is_nothing():
-    embedding, labels = blobs((300, 200, 97, 3))
+    embedding, labels = blobs((300, 200, 95, 5))
     order = np.random.default_rng(1).permutation(NUM_POINTS)
     one, other = run(embedding, labels >= 0), run(embedding[order], labels[order] >= 0)
     same = (np.asarray(one) @ np.asarray(one).T)[order][:, order]  # whether two points belong together
@@ -81,6 +82,45 @@ def test_what_padding_holds_is_nothing():
     embedding, labels = blobs((200, 100, 5))
     elsewhere = np.where((labels >= 0)[:, None], embedding, 7).astype(np.float32)
     np.testing.assert_array_equal(run(embedding, labels >= 0), run(elsewhere, labels >= 0))
+
+
+@pytest.mark.parametrize("sizes", [(200, 100, 50, 20, 5), (1400, 900, 350, 50)], ids=["few", "more than are seen"])
+def test_how_much_padding_there_is_is_nothing(sizes):
+    answers = []
+    for num_points in (sum(sizes), 3000, 8192):
+        embedding, labels = blobs(sizes, num_points=num_points)
+        membership = np.asarray(run(embedding, labels >= 0))
+        assert_found(membership, labels)
+        answers.append(membership[: sum(sizes)])
+    for other in answers[1:]:
+        np.testing.assert_allclose(other, answers[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("place", ["the end", "every ninth"])
+def test_padding_may_lie_anywhere(place):
+    embedding, labels = blobs((300, 200, 80, 20), num_points=5400)
+    rows = np.arange(4800, 5400) if place == "the end" else 9 * np.arange(600) + 7
+    moved, moved_labels = np.full_like(embedding, 7), np.full_like(labels, -1)
+    moved[rows], moved_labels[rows] = embedding[:600], labels[:600]
+    membership = np.asarray(run(moved, moved_labels >= 0))
+    assert_found(membership, moved_labels)
+    np.testing.assert_allclose(membership[rows], np.asarray(run(embedding, labels >= 0))[:600], atol=1e-5)
+
+
+def test_a_full_cloud_is_looked_at_evenly():
+    index, valid = clustering._evenly(jnp.asarray(8192), clustering.NUM_SEEN)
+    np.testing.assert_array_equal(index, np.arange(0, 8192, 4))
+    assert valid.all()
+    index, valid = clustering._evenly(jnp.asarray(5), 8)
+    np.testing.assert_array_equal(index[valid], np.arange(5))
+    assert valid.sum() == 5
+
+
+def test_single_points_of_a_small_cloud_are_no_clusters():
+    embedding, labels = blobs((60, 1, 1, 1, 2), num_points=100)
+    membership = np.asarray(run(embedding, labels >= 0))
+    assert np.sum(membership.max(axis=0) > 0) == 1
+    np.testing.assert_allclose(membership[labels >= 0].max(axis=1), 1)
 
 
 @pytest.mark.parametrize("num_valid", [0, 1, 2, 5])
