@@ -35,9 +35,14 @@ def export(
         told[section] |= {key: Path(told[section][key]).name for key in ("file", "cache")}
     arrays = jax.tree.map(np.asarray, variables(state))
     start = told["train"]["start_from"]
-    told["train"]["start_from"] = start and Path(start).name
-    place = folder.resolve()
-    name = place.parent.name if place.name in ("best", "last") else place.name
-    model = weights.Model(config.model, arrays, name, {"steps": int(state.step), "settings": told, **(info or {})})
+    told["train"]["start_from"] = start and _name(Path(start))
+    about = {"steps": int(state.step), "settings": told, **(info or {})}
+    model = weights.Model(config.model, arrays, _name(folder), about)
     weights.save(folder / "weights", model, precision=precision)
     return model
+
+
+def _name(folder: Path) -> str:
+    """Of the workdir, also where a model in it is meant."""
+    place = folder.resolve()
+    return place.parent.name if place.name in ("best", "last") else place.name

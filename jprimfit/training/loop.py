@@ -24,12 +24,13 @@ from jprimfit.training.config import Config, num_steps
 from jprimfit.training.export import export
 from jprimfit.training.progress import Progress
 from jprimfit.training.sources import Sources, open_sources, validation_batches
-from jprimfit.training.step import CLOUD, Batch, first_variables, train_step
+from jprimfit.training.step import CLOUD, Batch, initial_variables, start_model, train_step
 from jprimfit.training.validation import SCORES, validator
 from jprimfit.training.writer import Writer, read
 
 PREFETCHED = 2  # batches that are drawn while the devices work
 AGREE_EVERY = 10  # steps after which several processes ask each other whether to stop
+CLOUDS_SEEN = "clouds_seen"  # in exported models and checkpoints: by this run and by the models that it goes back to
 
 
 class NotFinite(RuntimeError):
@@ -60,14 +61,37 @@ def train(config: Config, folder: Path, *, fresh: bool = False) -> Outcome:
         sources = open_sources(config)
         checkpoints = stack.enter_context(Checkpoints(folder / "checkpoints", config=settings.to_mapping(config)))
         cloud = jax.tree.map(lambda x: x[0], sources.training.batch(0, 1))
-        variables = first_variables(config, cloud)
-        initial = state.create(variables, config=config.optimizer)
-        found = checkpoints.restore(initial)
-        resumed_step = None if found is None else found[0]
+        variables = initial_variables(Segmenter(config.model), cloud, config=config)
+        start = _start(config, checkpoints, variables)
+        resumed_step = int(start.state.step) if start.resumed else None
         writer = stack.enter_context(Writer(folder, tensorboard=config.train.tensorboard, resumed_step=resumed_step))
-        run = _Run(config, folder, sources, checkpoints, writer, signals, initial if found is None else found[1])
-        run.greet(resumed=found is not None)
+        run = _Run(config, folder, sources, checkpoints, writer, signals, start)
+        run.greet(resumed=start.resumed)
         return run.to_the_end(began)
+
+
+class _Start(NamedTuple):
+    """What a call of train begins with."""
+
+    state: state.TrainState
+    resumed: bool
+    clouds_before: int  # that had been seen when the run was at step 0
+
+
+def _start(config: Config, checkpoints: Checkpoints, variables: Any) -> _Start:
+    """The newest checkpoint; else the model of train.start_from, which a resumed run needs no more; else variables."""
+    initial = state.create(variables, config=config.optimizer)
+    found = checkpoints.restore(initial)
+    if found is not None:
+        step, restored = found
+        seen = step * config.train.batch_size
+        return _Start(restored, True, round(checkpoints.record(step)["metrics"].get(CLOUDS_SEEN, seen)) - seen)
+    model = start_model(config)
+    if model is None:
+        return _Start(initial, False, 0)
+    before = model.info.get(CLOUDS_SEEN)
+    first = state.create(model.variables, config=config.optimizer)
+    return _Start(first, False, before if isinstance(before, int) else 0)
 
 
 class _Run:
@@ -81,12 +105,13 @@ class _Run:
         checkpoints: Checkpoints,
         writer: Writer,
         signals: list[int],
-        start: state.TrainState,
+        start: _Start,
     ):
         self.config, self.folder, self.sources = config, folder, sources
         self.checkpoints, self.writer, self.signals = checkpoints, writer, signals
-        self.step, self.num_steps = int(start.step), num_steps(config.train, sources.num_clouds)
-        self.num_parameters = sum(x.size for x in jax.tree.leaves(start.params))
+        self.clouds_before = start.clouds_before
+        self.step, self.num_steps = int(start.state.step), num_steps(config.train, sources.num_clouds)
+        self.num_parameters = sum(x.size for x in jax.tree.leaves(start.state.params))
         segmenter = Segmenter(config.model, axis_names=(CLOUD, parallel.AXIS))
         self.devices = parallel.parallelise(
             train_step(segmenter, config=config, num_steps=self.num_steps),
@@ -98,7 +123,7 @@ class _Run:
                 f"train.batch_size is {config.train.batch_size}, which {self.devices.num_devices} devices cannot share "
                 "equally: give a multiple."
             )
-        self.state = self.devices.replicate(start)
+        self.state = self.devices.replicate(start.state)
         self.validate = validator(Segmenter(config.model), pooled=config.model.types == "pooled")
         self.best = max((line["miou"] for line in read(folder) if line["kind"] == "validation"), default=None)
         self.progress = Progress(
@@ -208,11 +233,14 @@ class _Run:
         return scores
 
     def _export(self, present: state.TrainState, name: str, scores: dict[str, float]) -> None:
-        seen = self.step * self.config.train.batch_size
-        export(present, self.config, self.folder / name, info={"clouds_seen": seen, "validation": scores})
+        export(present, self.config, self.folder / name, info={CLOUDS_SEEN: self._clouds_seen(), "validation": scores})
 
     def _save(self, scores: dict[str, float] | None) -> None:
-        self.checkpoints.save(self.step, self.devices.first(self.state), scores)
+        metrics = {**(scores or {}), CLOUDS_SEEN: float(self._clouds_seen())}
+        self.checkpoints.save(self.step, self.devices.first(self.state), metrics)
+
+    def _clouds_seen(self) -> int:
+        return self.clouds_before + self.step * self.config.train.batch_size
 
     def _ended(self, reason: str) -> Outcome:
         if parallel.is_writer():

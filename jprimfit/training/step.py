@@ -19,7 +19,6 @@ from jprimfit import settings
 from jprimfit.data.examples import Example
 from jprimfit.geometry.hierarchy import from_index_sets
 from jprimfit.networks import weights
-from jprimfit.networks.segmenter import Segmenter
 from jprimfit.objectives import memberships
 from jprimfit.objectives.losses import losses
 from jprimfit.training import state as states
@@ -50,13 +49,13 @@ def initial_variables(segmenter: nn.Module, example: Example, *, config: Config)
     return initialise(jax.random.key(config.seed), example)
 
 
-def first_variables(config: Config, example: Example) -> Any:
-    """The variables that a run begins with: those of train.start_from, or new ones from the seed.
+def start_model(config: Config) -> weights.Model | None:
+    """The model of train.start_from, None where a run begins with new variables.
 
-    ValueError where that model has other settings.
+    ValueError where there is no such model or it has other settings.
     """
     if config.train.start_from is None:
-        return initial_variables(Segmenter(config.model), example, config=config)
+        return None
     model = weights.load(config.train.start_from)
     keys = settings.differences(model.config, config.model)
     if keys:
@@ -64,7 +63,7 @@ def first_variables(config: Config, example: Example) -> Any:
             f"train.start_from = {config.train.start_from} is a network with other settings of "
             f"{', '.join(f'model.{key}' for key in keys)}: set them alike, or begin anew."
         )
-    return model.variables
+    return model
 
 
 def train_step(segmenter: nn.Module, *, config: Config, num_steps: int) -> Callable[..., tuple[TrainState, dict]]:

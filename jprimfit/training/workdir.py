@@ -14,6 +14,7 @@ import yaml
 
 from jprimfit import settings
 from jprimfit.io.files import replacing
+from jprimfit.networks import weights
 from jprimfit.training.config import Config, forbidden_changes
 
 SETTINGS = "config.yaml"
@@ -26,10 +27,11 @@ def prepared(folder: Path, config: Config, *, fresh: bool) -> Iterator[None]:
     """The folder made ready for a run with these settings, which it keeps as config.yaml, and locked.
 
     An old run is left for resuming, unless `fresh`, which renames its folder to `<folder>.1`, `.2`, ... ValueError
-    where another training is in the folder, where the old run had other settings (see config.forbidden_changes), or
-    where the folder is none of ours.
+    where another training is in the folder, where the old run had other settings (see config.forbidden_changes),
+    where the folder is none of ours, or where it would be renamed and holds the model of train.start_from.
     """
     if fresh and folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
+        _refuse_own_model(folder, config.train.start_from)
         with locked(folder):
             pass
         folder.rename(_free_name(folder))
@@ -49,6 +51,15 @@ def locked(folder: Path) -> Iterator[None]:
         if not _lock(file):
             raise ValueError(f"{folder} is in use by another training: wait for it, or give another --workdir.")
         yield
+
+
+def _refuse_own_model(folder: Path, start_from: str | None) -> None:
+    if start_from is None or start_from in weights.SHIPPED:
+        return
+    if Path(start_from).resolve().is_relative_to(folder.resolve()):
+        raise ValueError(
+            f"train.start_from = {start_from} lies in {folder}, which --fresh would rename: give another --workdir."
+        )
 
 
 def _keep_settings(folder: Path, config: Config) -> None:

@@ -120,6 +120,22 @@ def test_more_steps_may_follow(toy_mapping, tmp_path, undisturbed):
     assert final_bytes(tmp_path / "run") == expected
 
 
+def test_a_run_from_a_model_goes_on_without_it_and_counts_its_clouds(toy_mapping, tmp_path):
+    train(config(toy_mapping, steps=3), tmp_path / "first")
+    second = tmp_path / "second"
+    toy_mapping["train"]["start_from"] = str(tmp_path / "first" / "last")
+    train(config(toy_mapping, steps=2), tmp_path / "whole")
+    train(config(toy_mapping, time_limit_minutes=1e-9), second)
+    info = weights.load(second / "last").info
+    assert info["clouds_seen"] == 8 * (3 + 1) and info["settings"]["train"]["start_from"] == "first"
+    (tmp_path / "first").rename(tmp_path / "moved")
+    assert train(config(toy_mapping, time_limit_minutes=None), second).step == 2
+    assert weights.load(second / "last").info["clouds_seen"] == 8 * (3 + 2)
+    assert final_bytes(second) == final_bytes(tmp_path / "whole")
+    with pytest.raises(ValueError, match="first/last' is no model"):
+        train(config(toy_mapping), tmp_path / "third")
+
+
 def test_an_error_in_the_loader_arrives(toy_mapping, toy_loader, tmp_path):
     def fail(step, batch):
         if step == 3:

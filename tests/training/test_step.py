@@ -124,14 +124,13 @@ def test_losses_that_are_not_finite_are_told(setting, toy_batch):
     assert jnp.isnan(devices.first(metrics)["total"])
 
 
-def test_a_run_may_start_from_a_model_of_the_same_settings(setting, toy_mapping, toy_batch, tmp_path):
-    cloud = jax.tree.map(lambda x: x[0], toy_batch)
-    variables = state.variables(setting.start)
-    variables = jax.tree.map(lambda x: x + 1, variables)
+def test_a_run_may_start_from_a_model_of_the_same_settings(setting, toy_mapping, tmp_path):
+    assert step.start_model(setting.config) is None
+    variables = jax.tree.map(lambda x: x + 1, state.variables(setting.start))
     weights.save(tmp_path / "weights", weights.Model(setting.config.model, variables, "before", {}))
     toy_mapping["train"]["start_from"] = str(tmp_path)
-    found = step.first_variables(from_mapping(toy_mapping, source="test"), cloud)
-    jax.tree.map(np.testing.assert_array_equal, found, variables)
+    found = step.start_model(from_mapping(toy_mapping, source="test"))
+    jax.tree.map(np.testing.assert_array_equal, found.variables, variables)
     toy_mapping["model"]["shared"] = 8
     with pytest.raises(ValueError, match=r"other settings of model\.shared"):
-        step.first_variables(from_mapping(toy_mapping, source="test"), cloud)
+        step.start_model(from_mapping(toy_mapping, source="test"))

@@ -43,6 +43,18 @@ def test_fresh_puts_the_old_run_aside(tmp_path, config, toy_mapping):
     assert (tmp_path / "a.1" / "result-0").exists() and (tmp_path / "a.2" / "result-1").exists()
 
 
+@pytest.mark.parametrize("place", ["", "last"])
+def test_fresh_does_not_put_aside_what_it_starts_from(tmp_path, config, toy_mapping, place):
+    folder = tmp_path / "a"
+    with workdir.prepared(folder, config, fresh=False):
+        pass
+    toy_mapping["train"]["start_from"] = str(tmp_path / "b" / ".." / "a" / place)
+    with pytest.raises(ValueError, match=r"lies in .*, which --fresh would rename: give another --workdir\."):
+        with workdir.prepared(folder, from_mapping(toy_mapping, source="c.yaml"), fresh=True):
+            pass
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
 def test_a_folder_of_other_things_is_left_alone(tmp_path, config):
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(ValueError, match="holds files, but no config.yaml of a run"):
