@@ -15,7 +15,7 @@ import numpy as np
 
 from jprimfit import checks
 from jprimfit.fitting import geometric, kinds, refinement
-from jprimfit.fitting.advice import advice
+from jprimfit.fitting.advice import Advice, advice
 from jprimfit.networks import inference, weights
 from jprimfit.networks.weights import Model
 from jprimfit.preprocessing.outliers import Mode
@@ -52,7 +52,7 @@ def fit(
         The scene in the unit and frame of the input.
 
     Raises:
-        ValueError: one sentence, where the points can be no scan or there is no model of that name.
+        ValueError: one sentence, where the points can be no scan, or the model is none.
 
     Source: Entropy 2024, 26(9), 717, Figure 1.
     """
@@ -76,8 +76,7 @@ def fit(
     if usable.normals is not None:
         given, given_thinned = usable.normals[first][kept], usable.normals[first][ready.index]
 
-    say("network", 0, 1)
-    advised = None if network is None else advice(thinned, *inference.ask(network, thinned))
+    advised = None if network is None else _advised(network, thinned, say)
 
     say("segment", 0, len(thinned))
     proposal = geometric.propose(
@@ -118,10 +117,17 @@ def fit(
     )
 
 
-@lru_cache(maxsize=4)
+def _advised(network: Model, points: np.ndarray, say: Callable[[str, int, int], None]) -> Advice:
+    say("network", 0, 1)
+    return advice(points, *inference.ask(network, points))
+
+
 def _load(name: str | PathLike[str]) -> Model:
-    """A model by name or folder; read and checked once per process."""
-    return weights.load(name)
+    """A model by name or folder; one that is shipped is read once, since only the others change."""
+    return _shipped(name) if isinstance(name, str) and name in weights.SHIPPED else weights.load(name)
+
+
+_shipped = lru_cache(weights.load)
 
 
 def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

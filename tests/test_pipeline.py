@@ -1,10 +1,17 @@
 """jprimfit's answer as users meet it: the contract of the scene, and what must not matter about the input."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from jprimfit import pipeline
+from jprimfit.networks import weights
 from jprimfit.pipeline import fit
 
+ROOT = Path(__file__).resolve().parent.parent
 STEP = 0.08
 SIGMA = 0.02 * STEP
 GOLDEN = np.pi * (1 + np.sqrt(5))
@@ -234,6 +241,9 @@ def test_progress_names_the_stages_in_order():
     fit(POINTS[TRUTH == 3], progress=lambda *call: calls.append(call))
     assert list(dict.fromkeys(stage for stage, _, _ in calls)) == ["preprocess", "network", "segment", "refine"]
     assert all(0 <= done <= total for _, done, total in calls)
+    calls.clear()
+    fit(POINTS[TRUTH == 3], model=None, progress=lambda *call: calls.append(call))
+    assert list(dict.fromkeys(stage for stage, _, _ in calls)) == ["preprocess", "segment", "refine"]
 
 
 def test_two_faces_of_one_plane_are_two_labels_and_one_surface():
@@ -259,6 +269,29 @@ def test_what_is_no_scan_or_no_model_is_refused():
     with pytest.raises(ValueError, match="normals has 3 rows"):
         fit(POINTS, NORMALS[:3])
     assert fit(POINTS[TRUTH == 0], model=None).primitives[0].kind == "plane"
+
+
+def test_what_is_no_name_of_a_model_is_refused():
+    """In a process without the type checks of the tests."""
+    code = """
+import jprimfit, numpy
+for model in (3, True, ["default"], b"default", ""):
+    try:
+        jprimfit.fit(numpy.eye(5, 3), model=model)
+    except ValueError as error:
+        print(error)
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    lines = found.stdout.splitlines()
+    assert len(lines) == 5 and all("but a name or a path is expected: give default" in line for line in lines)
+
+
+def test_a_model_that_is_written_anew_is_read_anew(tmp_path):
+    shipped = weights.load("default")
+    for name in ("before", "after"):
+        weights.save(tmp_path / "weights", shipped._replace(name=name))
+        assert fit(POINTS[TRUTH == 3][:40], model=tmp_path).report["network"] == name
+    assert pipeline._load("default") is pipeline._load("default")
 
 
 def test_copies_and_no_return_zeros_change_nothing():

@@ -194,9 +194,10 @@ def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
     from jprimfit import pipeline
     from jprimfit.data.fit4cad import read_clouds
     from jprimfit.evaluation import overlap
+    from jprimfit.networks import weights
 
     first, last = _range(arguments.clouds)
-    model = None if arguments.method == "geometry" else _ckpt(arguments)
+    model = None if arguments.method == "geometry" else weights.load(_ckpt(arguments))
     parts = []
     clouds = list(read_clouds(arguments.data, first=first, last=last))[:: arguments.every]
     for cloud in clouds[: arguments.parts]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    from jprimfit.networks.weights import Model
     from jprimfit.scene import Scene
 
 EXAMPLES = """examples:
@@ -52,10 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--filter", choices=["auto", "on", "off"], default="auto", help="remove outliers (auto: if there are any)"
     )
     parser.add_argument("--smooth", choices=["on", "off"], default="off", help="smooth what the segmentation sees")
-    parser.add_argument("--no-network", action="store_true", help="by geometry alone: region growing")
-    parser.add_argument(
-        "--model", default="default", metavar="NAME", help="network, by name or folder (default: default)"
-    )
+    network = parser.add_mutually_exclusive_group()
+    network.add_argument("--no-network", action="store_true", help="by geometry alone: region growing")
+    network.add_argument("--model", metavar="NAME", help="network, by name or folder (default: default)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random choices (default 0)")
     parser.add_argument("--quiet", action="store_true", help="print nothing but complaints")
 
@@ -66,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_target(arguments.out)
     say = _silent if arguments.quiet else _progress
+    arguments.model = _model(arguments)
     if len(arguments.inputs) == 1:
         outcome = fit_file(arguments.inputs[0], arguments.out, arguments, say=say)
         if not arguments.quiet:
@@ -89,7 +90,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Callable[[str], None]) -> Outcome:
-    """Reads a scan, fits it and writes the files of the answer; ValueError of one sentence that names the scan."""
+    """Reads a scan, fits it and writes the files of the answer; ValueError of one sentence that names the scan.
+
+    options: model as in pipeline.fit, and seed, filter and smooth as in the command's arguments.
+    """
     begin = time.perf_counter()
     from jprimfit.apps.cache import use_compilation_cache
     from jprimfit.apps.outputs import write_outputs
@@ -104,7 +108,7 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
         scene = pipeline.fit(
             cloud.points,
             cloud.normals,
-            model=None if options.no_network else options.model,
+            model=options.model,
             seed=options.seed,
             filter=options.filter,
             smooth=options.smooth == "on",
@@ -116,6 +120,17 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
     for note in write_outputs(scene, folder, title=scan.name):
         say(f"{scan}: {note}")
     return Outcome(scan, folder, scene, time.perf_counter() - begin, "")
+
+
+def _model(arguments: argparse.Namespace) -> "str | Model | None":
+    """What pipeline.fit is given; a model in a folder is read here, once for all scans and before the first of them."""
+    if arguments.no_network:
+        return None
+    if arguments.model is None:
+        return "default"
+    from jprimfit.networks import weights
+
+    return weights.load(arguments.model)
 
 
 def answer_text(outcome: Outcome) -> str:

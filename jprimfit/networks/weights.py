@@ -107,8 +107,14 @@ def load(name_or_dir: str | os.PathLike[str]) -> Model:
     """The model of that name ("default", "spfn"), of that path without its suffix, or in that folder, checked.
 
     A folder is the workdir of a training or its folder of checkpoints, from which the exported model is taken, or any
-    with one model in it. ValueError of one sentence for whatever is absent, damaged, or made for another network.
+    with one model in it. ValueError of one sentence for whatever is no name, absent, damaged, or made for another
+    network.
     """
+    if not isinstance(name_or_dir, str | os.PathLike) or not os.fspath(name_or_dir):
+        raise ValueError(
+            f"the model is {name_or_dir!r}, but a name or a path is expected: give {' or '.join(SHIPPED)}, or the "
+            "workdir of a training."
+        )
     stem = _stem(name_or_dir)
     arrays_path, yaml_path = _paths(stem)
     for path, other in ((arrays_path, yaml_path), (yaml_path, arrays_path)):

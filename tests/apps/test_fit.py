@@ -10,6 +10,7 @@ from jprimfit.apps.fit import Outcome, answer_text
 from jprimfit.apps.main import main
 from jprimfit.io import text
 from jprimfit.io.clouds import read_cloud
+from jprimfit.networks import weights
 from jprimfit.scene import Scene
 from jprimfit.types import Plane
 
@@ -45,6 +46,27 @@ def test_settings_reach_the_pipeline(quick, scan, tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
     call = quick[0]
     assert (call["filter"], call["smooth"], call["model"], call["seed"]) == ("on", True, None, 7)
+
+
+@pytest.mark.parametrize("name", ["default", "nonsense"])
+def test_a_network_and_none_exclude_each_other(quick, scan, tmp_path, capsys, name):
+    with pytest.raises(SystemExit) as refusal:
+        main(["fit", str(scan), "--out", str(tmp_path / "out"), "--no-network", "--model", name])
+    assert refusal.value.code == 2 and "--model: not allowed with argument --no-network" in capsys.readouterr().err
+    assert not quick
+
+
+@pytest.mark.parametrize("scans", [1, 2])
+def test_a_model_is_read_once_and_refused_before_the_scans(quick, scan, tmp_path, capsys, scans):
+    words = ["fit", *[str(scan)] * scans, "--out", str(tmp_path / "out"), "--quiet"]
+    assert main([*words, "--model", "nonsense"]) == 2 and not quick
+    assert capsys.readouterr().err.startswith("jprimfit: fit: 'nonsense' is no model")
+    assert main([*words, "--model", ""]) == 2 and not quick
+    shipped = weights.load("default")
+    weights.save(tmp_path / "mine", shipped._replace(name="mine"))
+    assert main([*words, "--model", str(tmp_path / "mine")]) == 0
+    assert [call["model"].name for call in quick] == ["mine"] * scans
+    assert quick[0]["model"] is quick[-1]["model"]
 
 
 def test_several_scans_have_folders_of_their_own_and_a_summary(quick, tmp_path, capsys):
