@@ -26,9 +26,8 @@ from jprimfit.data.records import KINDS, MAX_INSTANCES, Part
 from jprimfit.evaluation.tables import INSTANCE_METRICS
 from jprimfit.geometry import host, safe
 from jprimfit.geometry.hierarchy import HierarchySpec
-from jprimfit.geometry.preparation import Prepared, prepare
-from jprimfit.geometry.sampling import optimised_farthest_points
-from jprimfit.networks.inference import segment
+from jprimfit.geometry.preparation import Prepared
+from jprimfit.networks import inference
 from jprimfit.networks.segmenter import Segmenter, SegmenterConfig
 from jprimfit.networks.weights import Model
 from jprimfit.objectives import fits, memberships, metrics
@@ -52,7 +51,7 @@ class Case(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """The points that a network sees, at most as many as it was made for."""
+    """The points that a network sees, as inference.ask chooses and prepares them."""
 
     cloud: Prepared  # m points
     nearest: Int[np.ndarray, "n"]  # int32, the one of them that is nearest to each point of the case
@@ -206,7 +205,7 @@ def _network(model: Model) -> Callable[[Example, Seen], dict[str, Array]]:
     segmenter = Segmenter(model.config)
 
     def predict(variables: Any, seen: Seen) -> tuple[Prediction, Array]:
-        said, membership = segment(segmenter, variables, seen.cloud, pooled=model.config.types == "pooled")
+        said, membership = inference.segment(segmenter, variables, seen.cloud, pooled=model.config.types == "pooled")
         rows = seen.nearest
         return said._replace(normals=said.normals[rows], type_logits=said.type_logits[rows]), membership[rows]
 
@@ -226,19 +225,9 @@ def _network(model: Model) -> Callable[[Example, Seen], dict[str, Array]]:
 
 
 def _seen(example: Example, network: SegmenterConfig) -> Seen:
-    """What a network is given of a cloud; more points than it was made for are thinned evenly."""
     points = example.points[example.mask]
-    kept = np.arange(len(points))
-    if len(points) > network.num_points:
-        kept = np.sort(np.asarray(_thinned(jnp.asarray(points), num_samples=network.num_points)))
-    rescaled, _ = host.normalize(points[kept])
-    cloud = prepare(
-        rescaled, spec=network.hierarchy, neighborhoods=network.neighborhoods, num_points=network.num_points
-    )
-    return Seen(cloud, host.knn(example.points, points[kept], k=1).index[:, 0])
-
-
-_thinned = jax.jit(optimised_farthest_points, static_argnames="num_samples")
+    rows, cloud = inference.sample(network, points)
+    return Seen(cloud, host.knn(example.points, points[rows], k=1).index[:, 0])
 
 
 def _gaussian(config: LoaderConfig, part: Part, percent: float) -> LoaderConfig:

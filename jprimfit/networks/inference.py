@@ -31,19 +31,31 @@ class Answer(NamedTuple):
     normals: Float32[np.ndarray, "m 3"]  # unit, of either sign
 
 
+class Sample(NamedTuple):
+    """The points that a network sees, at most as many as it was made for, chosen to lie evenly."""
+
+    rows: Int[np.ndarray, "m"]  # int32, of the cloud, ascending
+    cloud: Prepared  # m points in the normalised frame, then padding to the size of the network
+
+
 def ask(model: Model, points: Float[np.ndarray, "n 3"]) -> Answer:
     """The answer of a network for a cloud of n >= 1 points in any frame."""
-    config = model.config
+    rows, cloud = sample(model.config, points)
+    membership, types, normals = jax.device_get(_apply(model.variables, cloud, config=model.config))
+    valid = slice(0, len(rows))
+    return Answer(rows, membership[valid], types[valid], normals[valid])
+
+
+def sample(config: SegmenterConfig, points: Float[np.ndarray, "n 3"]) -> Sample:
+    """What a network of these settings is given of a cloud of n >= 1 points in any frame."""
     rows = np.arange(len(points), dtype=np.int32)
     if len(points) > config.num_points:
         rows = _even_rows(points, config.num_points)
-    seen, _ = host.normalize(points[rows])
-    prepared = prepare(
-        seen, spec=config.hierarchy, neighborhoods=config.neighborhoods, num_points=config.num_points, workers=-1
+    scaled, _ = host.normalize(points[rows])
+    return Sample(
+        rows,
+        prepare(scaled, spec=config.hierarchy, neighborhoods=config.neighborhoods, num_points=config.num_points),
     )
-    membership, types, normals = jax.device_get(_apply(model.variables, prepared, config=config))
-    valid = slice(0, len(rows))
-    return Answer(rows, membership[valid], types[valid], normals[valid])
 
 
 def _even_rows(points: Float[np.ndarray, "n 3"], num_samples: int) -> Int[np.ndarray, " m"]:

@@ -9,6 +9,7 @@ import pytest
 
 from jprimfit.data.native import Dataset
 from jprimfit.evaluation import six, tables
+from jprimfit.networks import inference
 from jprimfit.primitives.table import KINDS, MODULES
 from jprimfit.scene import Scene
 
@@ -118,6 +119,16 @@ def test_the_score_of_a_cloud_does_not_depend_on_its_batch(parts_file, tiny_mode
             np.testing.assert_allclose(a[name], b[name], rtol=1e-3, atol=1e-4, err_msg=name)
     assert np.isnan(together[0]["seconds"]) and together[-1]["seconds"] > 0
     assert 0 <= together[0]["miou"] <= 1 and 0 < together[0]["normal_deg"] < 90
+
+
+def test_a_network_is_measured_on_what_fit_would_give_it(parts_file, tiny_model):
+    config = tiny_model().config
+    for case in drawn(parts_file, network=config, num_points=400, most=2):
+        points = case.example.points[case.example.mask]
+        rows, cloud = inference.sample(config, points)
+        assert len(rows) == 256 < len(points)
+        jax.tree.map(np.testing.assert_array_equal, case.seen.cloud, cloud)
+        np.testing.assert_array_equal(case.seen.nearest[rows], np.arange(len(rows)))
 
 
 def test_a_split_that_is_not_there_is_named(parts_file):
