@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-CLEAR = 0.6  # membership from which a point belongs to the heart of its segment
+# Membership from which a point belongs to the heart of its segment; chosen together with clustering.SQ_BANDWIDTH.
+CLEAR = 0.6
 MIN_POINTS = 8  # of a heart, among those that the network saw
 LEAST_PROBABILITY = 0.02  # of a kind: networks are surer than they should be
 
