@@ -1,4 +1,4 @@
-"""Surfaces of a cloud by geometry alone: the answer that a network has to beat, and `fit --no-network`.
+"""Surfaces of a cloud by geometry: with the advice of a network, or alone (`fit --no-network`), which it has to beat.
 
 Describe the neighbourhoods, grow regions, unite those on one surface. The noise that neighbourhoods show is that of
 single points; a stereo or depth camera also errs over wide areas, which breaks a table into terraces a few noises

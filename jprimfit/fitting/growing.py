@@ -1,4 +1,4 @@
-"""Segmentation without a network: surfaces grown from seeds, all four kinds in competition.
+"""Surfaces grown from a network's patches, if there are any, then from seeds; all four kinds in competition.
 
 From a seed patch deep inside a smooth area each kind of primitive is fitted and grown: refit, take every point that
 lies within the tolerance of the surface, agrees with its normal and is connected to the patch through smooth ("core")
@@ -45,7 +45,7 @@ class Region(NamedTuple):
 
     rows: Int[np.ndarray, " r"]  # rows of the cloud, ascending; rows beside an edge may be in several regions
     primitive: Primitive  # float64, frame of the cloud
-    evidence: float = 0.0  # gain in log-likelihood over leaving the rows unexplained, in nats
+    evidence: float = 0.0  # nats: gain in log-likelihood over leaving the rows unexplained, handicap and types included
 
 
 class _Pass(NamedTuple):
@@ -243,7 +243,10 @@ def _refitted(state: _Pass, kind: str, rows: np.ndarray) -> kinds.Fitted | None:
 
 
 def _evidence(state: _Pass, kind: str, rows: np.ndarray, distance: np.ndarray) -> float:
-    """What points at these distances say for a primitive; one at the limit, three standard deviations, says nothing."""
+    """What points at these distances, and a network's types of them, say for a primitive.
+
+    A distance at the limit, three standard deviations, says nothing.
+    """
     fit = float(np.sum(4.5 * (1.0 - np.square(distance[rows] / state.tolerance))))
     return HANDICAP[kind] * fit + TYPE_WEIGHT * float(state.log_types[rows, KINDS.index(kind)].sum())
 
