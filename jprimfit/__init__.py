@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from jprimfit.fitting.single import fit_primitive
     from jprimfit.networks.weights import Model
     from jprimfit.pipeline import fit
     from jprimfit.scene import Scene
     from jprimfit.types import Cone, Cylinder, Plane, Sphere
 
-__all__ = ["Cone", "Cylinder", "Plane", "Scene", "Sphere", "fit", "load_model"]
+__all__ = ["Cone", "Cylinder", "Plane", "Scene", "Sphere", "fit", "fit_primitive", "load_model"]
 
 _HOMES = {
     "fit": "jprimfit.pipeline",
+    "fit_primitive": "jprimfit.fitting.single",
     "Scene": "jprimfit.scene",
     **dict.fromkeys(("Plane", "Sphere", "Cylinder", "Cone"), "jprimfit.types"),
 }

@@ -11,21 +11,24 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, moments, ridge_solve, weighted_mean
 from jprimfit.primitives.common import direction_determined, position_determined, standardise, steer
+from jprimfit.primitives.quadrics import Quadric, polynomial
 from jprimfit.types import Cone, Discrepancy, Fit
 
 KIND = "cone"
 NUM_FREEDOM = 6
+STEP_UNITS = (0, 0, 1, 1, 1, 0)  # powers of length
 
 MIN_HALF_ANGLE = 1e-3  # radians; as far from a right angle
 MAX_HALF_ANGLE = math.pi / 2 - MIN_HALF_ANGLE
 # A plane with noisy normals looks like a cone of nearly a right half-angle whose points lie on both sides of the apex:
 # at least three quarters of the heights must agree in sign.
 MIN_ONE_SIDED = 0.5
+MIN_ON_NAPPE = 0.9  # of the weight: more than noise at the apex can leave behind it
 
 
 def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]) -> Fit:
@@ -148,13 +151,45 @@ def discrepancy(a: Cone, b: Cone) -> Discrepancy:
 
 
 def retract(primitive: Cone, step: Float[Array, "6"]) -> Cone:
-    """The cone with its axis tilted by step[:2] about the apex, this moved by step[2:5], the half-angle by step[5]."""
-    axis = steer(primitive.axis, frame_of(primitive.axis), step[:2])
-    return Cone(axis, primitive.apex + step[2:5], primitive.half_angle + step[5])
+    """The cone tilted by step[:2] (radians) about the axis point nearest the origin, this shifted across by step[2:4].
+
+    step[4] pushes the surface along its normal, step[5] opens the half-angle about the generator's point at the height
+    of that axis point. So a step is well defined even where the apex is far away and hardly known.
+    """
+    axis, apex, half_angle = primitive
+    frame = frame_of(axis)
+    height = -jnp.dot(apex, axis, precision=HIGHEST)
+    anchor = apex + height * axis + step[2] * frame[0] + step[3] * frame[1]
+    push = height * jnp.sin(half_angle) + step[4]
+    axis, half_angle = steer(axis, frame, step[:2]), half_angle + step[5]
+    radius = safe.divide(push, jnp.cos(primitive.half_angle))
+    return Cone(axis, anchor - safe.divide(radius, jnp.tan(half_angle)) * axis, half_angle)
 
 
 def canonical(primitive: Cone, anchor: Float[Array, "3"]) -> Cone:
-    """The same cone with its half-angle at most a right one: a step may turn it inside out. The anchor is not used."""
-    obtuse = primitive.half_angle > math.pi / 2
-    axis = jnp.where(obtuse, -primitive.axis, primitive.axis)
-    return Cone(axis, primitive.apex, jnp.where(obtuse, math.pi - primitive.half_angle, primitive.half_angle))
+    """The same cone with its half-angle in [0, pi/2]: a step may turn it inside out. The anchor is not used."""
+    axis, apex, half_angle = primitive
+    turned = (half_angle > math.pi / 2) | (half_angle < 0)
+    inside = jnp.where(half_angle < 0, -half_angle, math.pi - half_angle)
+    return Cone(jnp.where(turned, -axis, axis), apex, jnp.where(turned, inside, half_angle))
+
+
+def quadric(primitive: Cone) -> Quadric:
+    """cos^2 |u|^2 - L^2 with u the vector from the axis and L = sin axis·(x - apex); |grad| = 2 L on the surface.
+
+    Written about the axis point nearest the origin, so that a far apex costs no digits.
+    """
+    axis, apex, half_angle = primitive
+    sq_cosine, slope = jnp.cos(half_angle) ** 2, jnp.sin(half_angle) * axis
+    height = -jnp.dot(slope, apex, precision=HIGHEST)
+    across = apex - jnp.dot(apex, axis, precision=HIGHEST) * axis
+    matrix = sq_cosine * jnp.eye(3, dtype=axis.dtype) - axis[:, None] * axis[None, :]
+    constant = sq_cosine * jnp.sum(across * across) - height * height
+    return Quadric(polynomial(matrix, -2 * (sq_cosine * across + height * slope), constant), height, slope)
+
+
+def sound(primitive: Cone, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:
+    """Whether the half-angle is acute and nearly all points lie on the side of the apex where the nappe is."""
+    inside = jnp.matmul(points - primitive.apex[None, :], primitive.axis, precision=HIGHEST) > 0
+    angle = primitive.half_angle
+    return (angle > MIN_HALF_ANGLE) & (angle < MAX_HALF_ANGLE) & (jnp.sum(weights * inside) > MIN_ON_NAPPE)

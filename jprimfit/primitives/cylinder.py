@@ -7,15 +7,17 @@ frame (linalg.frame_of).
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, orient, weighted_mean
 from jprimfit.primitives.common import direction_determined, fit_round, standardise, steer
+from jprimfit.primitives.quadrics import Quadric, polynomial
 from jprimfit.types import Cylinder, Discrepancy, Fit
 
 KIND = "cylinder"
 NUM_FREEDOM = 5
+STEP_UNITS = (0, 0, 1, 1, 1)  # powers of length
 
 
 def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]) -> Fit:
@@ -113,3 +115,16 @@ def _split(primitive: Cylinder, points: Float[Array, "n 3"]) -> tuple[Float[Arra
     offset = points - primitive.center[None, :]
     height = jnp.matmul(offset, primitive.axis, precision=HIGHEST)
     return height, offset - height[:, None] * primitive.axis[None, :]
+
+
+def quadric(primitive: Cylinder) -> Quadric:
+    """|v|^2 - (axis·v)^2 - radius^2 with v = x - center, with a gradient of length 2 radius."""
+    axis, center, radius = primitive
+    matrix = jnp.eye(3, dtype=axis.dtype) - axis[:, None] * axis[None, :]
+    across = jnp.matmul(matrix, center, precision=HIGHEST)
+    return Quadric(polynomial(matrix, -2 * across, jnp.sum(center * across) - radius * radius), radius)
+
+
+def sound(primitive: Cylinder, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:
+    """Whether the radius is positive."""
+    return primitive.radius > 0

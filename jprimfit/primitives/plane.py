@@ -6,15 +6,17 @@ foot point normal * offset, the point of the plane nearest the origin.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, moments, orientation
 from jprimfit.primitives.common import direction_determined, standardise, steer
+from jprimfit.primitives.quadrics import Quadric, polynomial
 from jprimfit.types import Discrepancy, Fit, Plane
 
 KIND = "plane"
 NUM_FREEDOM = 3
+STEP_UNITS = (0, 0, 1)  # powers of length
 
 
 def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]) -> Fit:
@@ -87,3 +89,15 @@ def canonical(primitive: Plane, anchor: Float[Array, "3"]) -> Plane:
     """The same plane with the largest component of the normal positive; the anchor is not used."""
     sign = orientation(primitive.normal)
     return Plane(sign * primitive.normal, sign * primitive.offset)
+
+
+def quadric(primitive: Plane) -> Quadric:
+    """normal·x - offset."""
+    normal = primitive.normal
+    terms = polynomial(jnp.zeros((3, 3), normal.dtype), normal, -primitive.offset)
+    return Quadric(terms, jnp.full_like(primitive.offset, 0.5))
+
+
+def sound(primitive: Plane, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:
+    """Whether the parameters are those of a plane: always."""
+    return jnp.ones((), bool)

@@ -6,15 +6,17 @@ distinguished, normal and project take the direction (0, 0, 1).
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, weighted_mean
 from jprimfit.primitives.common import fit_round, standardise
+from jprimfit.primitives.quadrics import Quadric, polynomial
 from jprimfit.types import Discrepancy, Fit, Sphere
 
 KIND = "sphere"
 NUM_FREEDOM = 4
+STEP_UNITS = (1, 1, 1, 1)  # powers of length
 
 
 def fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]) -> Fit:
@@ -81,3 +83,15 @@ def retract(primitive: Sphere, step: Float[Array, "4"]) -> Sphere:
 def canonical(primitive: Sphere, anchor: Float[Array, "3"]) -> Sphere:
     """The sphere itself: its parameters are unique."""
     return primitive
+
+
+def quadric(primitive: Sphere) -> Quadric:
+    """|x - center|^2 - radius^2, with a gradient of length 2 radius."""
+    center, radius = primitive
+    terms = polynomial(jnp.eye(3, dtype=center.dtype), -2 * center, jnp.sum(center * center) - radius * radius)
+    return Quadric(terms, radius)
+
+
+def sound(primitive: Sphere, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:
+    """Whether the radius is positive."""
+    return primitive.radius > 0

@@ -1,0 +1,68 @@
+"""Points, weights and normals of one segment as they come from a caller: checked, and brought to unit scale in float64.
+
+Whatever is no segment is refused in one sentence. NumPy only. n points.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+MAX_MAGNITUDE = 1e100  # of a coordinate: beyond, squares leave float64
+
+
+class Segment(NamedTuple):
+    """The m points of a segment that have weight, at unit scale: points = anchor + size * local."""
+
+    local: Float[np.ndarray, "m 3"]  # weighted mean 0, rms distance from it 1
+    weights: Float[np.ndarray, " m"]  # in (0, 1], the largest 1
+    normals: Float[np.ndarray, "m 3"] | None  # unit, 0 where they had no direction
+    anchor: Float[np.ndarray, "3"]
+    size: float  # 0 where there is none: no weight, or all points equal
+
+
+def segment(points: Any, weights: Any = None, normals: Any = None) -> Segment:
+    """The segment, or a ValueError of one sentence that says what was given instead."""
+    points = _numbers(points, "points", 3)
+    if len(points) == 0:
+        raise ValueError("points has no rows: give at least one point.")
+    weights = np.ones(len(points)) if weights is None else _numbers(weights, "weights", None)
+    if len(weights) != len(points):
+        raise ValueError(f"weights has {len(weights)} values and points {len(points)} rows: give one weight per point.")
+    if weights.min() < 0.0:
+        raise ValueError(f"weights holds {weights.min():g}, but none may be negative.")
+    normals = None if normals is None else _numbers(normals, "normals", 3)
+    if normals is not None and len(normals) != len(points):
+        raise ValueError(f"normals has {len(normals)} rows and points {len(points)}: give one normal per point.")
+    counted = weights > 0.0
+    used, weights = points[counted], weights[counted] / max(float(weights.max()), 1e-300)
+    if len(used) == 0:
+        return Segment(used, weights, None, points[0] + (points - points[0]).mean(axis=0), 0.0)
+    share = weights / weights.sum()
+    anchor = used[0] + share @ (used - used[0])
+    offset = used - anchor
+    largest = float(np.abs(offset).max())
+    # What is left of equal points after the subtraction is rounding.
+    if largest <= 8.0 * np.finfo(float).eps * float(np.abs(anchor).max()):
+        return Segment(used, weights, None, anchor, 0.0)
+    size = largest * float(np.sqrt(share @ np.sum((offset / largest) ** 2, axis=1)))
+    if normals is not None:
+        normals = normals[counted]
+        normals = normals / np.maximum(np.abs(normals).max(axis=1, keepdims=True), 1e-300)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    return Segment(offset / size, weights, normals, anchor, size)
+
+
+def _numbers(value: Any, name: str, width: int | None) -> np.ndarray:
+    shape = "(n,)" if width is None else f"(n, {width})"
+    try:
+        array = np.asarray(value)
+    except Exception as error:  # whatever an object's own conversion raises
+        raise ValueError(f"{name} is no array ({type(error).__name__}): give numbers of shape {shape}.") from None
+    expected = array.ndim == 1 if width is None else array.ndim == 2 and array.shape[1] == width
+    if array.dtype.kind not in "fiu" or not expected:
+        raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}: give real numbers of shape {shape}.")
+    array = array.astype(np.float64)
+    if not np.all(np.abs(array) <= MAX_MAGNITUDE):
+        raise ValueError(f"{name} holds NaN, infinities or values beyond {MAX_MAGNITUDE:g}: leave such rows out.")
+    return array

@@ -1,0 +1,250 @@
+"""One segment, one primitive, as well as the points allow: `jprimfit.fit_primitive`.
+
+A start (closed form from the normals, or a search without them) is polished by least squares on a sample, then the
+corrected equations are solved on all points (`primitives/estimation.py`), and for a cone seen all round the likelihood
+(`full_cone.py`). All of it in float64, on points that were shifted to their mean and divided by their size first.
+n points, p unknowns of the kind.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jprimfit.fitting import associations, full_cone, kinds, segments, starts
+from jprimfit.fitting.segments import Segment
+from jprimfit.geometry.linalg import frame_of
+from jprimfit.primitives.estimation import Estimate, estimate
+from jprimfit.primitives.table import KINDS, MODULES
+from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
+
+METHODS = ("best", "unbiased", "least-squares", *associations.METHODS)
+SAMPLE = 1_024  # points of the search for a start
+MIN_PADDED = 256
+OUTLIER = 3.5  # distances beyond so many standard deviations (from the median) are left out of a robust fit
+ROUNDS = 3  # of a robust fit's choice of points
+NORMAL_SHARE = 0.6745  # the median of |x| for a normal x of standard deviation 1
+
+
+class Info(NamedTuple):
+    """How a primitive was found and how well it is known.
+
+    The covariance is that of a minimal step from the answer, taken about the anchor; its coordinates are those of
+    `retract` in primitives/<kind>.py with the origin at the anchor, u and v the first rows of linalg.frame_of(axis):
+        plane: tilts towards u and v, shift along the normal      sphere: center x, y, z, radius
+        cylinder: tilts, shifts of the axis along u and v, radius
+        cone: tilts about the axis point nearest the anchor, shifts of it along u and v, push along the surface's
+            normal, half-angle.
+    Lengths in the points' unit, angles in radians. What the points cannot tell has a huge variance.
+    """
+
+    ok: bool  # the points determined the primitive; where False the values are finite, no more
+    sigma: float  # standard deviation of the noise in each coordinate
+    rms: float  # root of the weighted mean squared distance
+    covariance: Float[np.ndarray, "p p"]  # inf where the method has none (extreme points decide)
+    anchor: Float[np.ndarray, "3"]  # weighted mean of the points
+    num_iterations: int
+    method: str  # "unbiased", "likelihood" (a cone whose whole surface was seen evenly), or the one asked for
+
+
+def fit_primitive(
+    kind: str, points: Any, weights: Any = None, normals: Any = None, *, method: str = "best", robust: bool = False
+) -> tuple[Primitive, Info]:
+    """The plane, sphere, cylinder or cone through the points of one segment, without bias from their noise.
+
+    Args:
+        kind: "plane", "sphere", "cylinder" or "cone".
+        points: (n, 3), any unit and position; computed in float64.
+        weights: (n,), >= 0, how much each point counts; all alike if not given.
+        normals: (n, 3), of any length and sign. They only give the start of a cylinder or cone, which is searched for
+            without them.
+        method: "best" is "unbiased" and, for a cone that was seen evenly all round, the likelihood of that; "unbiased"
+            asks nothing of where the surface was seen. "least-squares" of the distances is biased by noise on curved
+            surfaces (+sigma^2 / r on a whole sphere); inspectors know it as Gaussian. For planes, spheres and
+            cylinders there are "minimum-zone" (least largest distance; Chebyshev), and for spheres and cylinders
+            "maximum-inscribed" and "minimum-circumscribed": a few extreme points decide, weights above 0 count alike.
+        robust: leave out points that lie off the surface by more than the noise explains (scale from the median).
+
+    Returns:
+        (primitive, info), float64 in the unit and frame of the points; a cylinder's center is the axis point nearest
+        their mean.
+
+    Raises:
+        ValueError: one sentence, where the arguments are no segment. A segment that does not determine the primitive
+            is no error: info.ok is False.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"unknown kind of primitive {kind!r}: expected one of {', '.join(KINDS)}.")
+    if method not in METHODS:
+        raise ValueError(f"unknown method {method!r}: expected one of {', '.join(METHODS)}.")
+    associations.refuse(method, kind)
+    given = segments.segment(points, weights, normals)
+    with jax.enable_x64(True):
+        found = _found(kind, given, method, robust) if given.size else None
+        return _in_input_frame(found or _undetermined(kind, given, method), given)
+
+
+def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primitive, Info] | None:
+    """The answer at unit scale; None where not even a start was found."""
+    start = _start(kind, given)
+    for _ in range(ROUNDS if robust and start else 0):
+        chosen = _near(start, given)
+        given = given._replace(weights=chosen)
+        start = _start(kind, given, start)
+    if start is None:
+        return None
+    if method in associations.METHODS:
+        association = associations.associate(method, start, given.local[given.weights > 0])
+        nothing = np.full((MODULES[kind].NUM_FREEDOM,) * 2, np.inf)
+        return _answer(association.primitive, given, association.ok, None, nothing, association.num_iterations, method)
+    if method == "least-squares":
+        primitive, ok, covariance = _on_padded(_least_squares, start, given)
+        return _answer(primitive, given, ok, None, covariance, starts.NUM_STEPS, method)
+    solved = _on_padded(_estimate, start, given)
+    if not bool(solved.ok) and given.normals is not None:  # the normals may have been no good
+        start = _start(kind, given._replace(normals=None)) or start
+        solved = _on_padded(_estimate, start, given)
+    if kind == "cone" and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
+        cone = _as_float64(solved.primitive)
+        likely = full_cone.fit(cone, np.asarray(frame_of(cone.axis)), float(solved.sigma), given.local)
+        if likely:
+            return _answer(
+                likely.cone, given, True, likely.sigma, likely.covariance, likely.num_iterations, "likelihood"
+            )
+    return _answer(
+        solved.primitive, given, solved.ok, solved.sigma, solved.covariance, solved.num_iterations, "unbiased"
+    )
+
+
+def _answer(
+    primitive: Primitive, given: Segment, ok: Any, sigma: Any, covariance: Any, num_iterations: Any, method: str
+) -> tuple[Primitive, Info]:
+    distance = _on_padded(_distance, primitive, given)[: len(given.local)]
+    rms = float(np.sqrt(given.weights @ np.square(distance) / given.weights.sum()))
+    covariance = np.asarray(covariance)
+    return _as_float64(primitive), Info(
+        bool(ok), rms if sigma is None else float(sigma), rms, covariance, given.anchor, int(num_iterations), method
+    )
+
+
+def _undetermined(kind: str, given: Segment, method: str) -> tuple[Primitive, Info]:
+    """Some primitive of the kind at the points, when they have no weight, coincide or leave every start infinite."""
+    axis, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    primitive: Primitive = {
+        "plane": Plane(axis, np.float64(0.0)),
+        "sphere": Sphere(zero, np.float64(1.0)),
+        "cylinder": Cylinder(axis, zero, np.float64(1.0)),
+        "cone": Cone(axis, -axis, np.float64(np.pi / 4)),
+    }[kind]
+    covariance = np.full((MODULES[kind].NUM_FREEDOM,) * 2, np.inf)
+    return primitive, Info(False, 0.0, 0.0, covariance, given.anchor, 0, method)
+
+
+def _in_input_frame(found: tuple[Primitive, Info], given: Segment) -> tuple[Primitive, Info]:
+    primitive, info = found
+    size = given.size or 1.0
+    units = size ** np.asarray(MODULES[primitive.kind].STEP_UNITS, float)
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = np.nan_to_num(units[:, None] * info.covariance * units[None, :], nan=np.inf, posinf=np.inf)
+    info = info._replace(sigma=size * info.sigma, rms=size * info.rms, covariance=covariance)
+    return kinds.move(primitive, given.anchor, size), info
+
+
+def standard_errors(primitive: Primitive, info: Info) -> dict[str, float]:
+    """Standard errors of what a drawing states, from the covariance; inf where the method has none.
+
+    Keys: "direction" (radians, of normal or axis), "offset", "position" (of the center, across the axis for a
+    cylinder; of a cone's apex), "radius", "half_angle", in the unit of the points.
+    """
+    kind, covariance = primitive.kind, info.covariance
+
+    def spread(*which: int) -> float:
+        return float(np.sqrt(max(sum(covariance[i, i] for i in which), 0.0)))
+
+    if kind == "plane":
+        return {"direction": spread(0, 1), "offset": spread(2)}
+    if kind == "sphere":
+        return {"position": spread(0, 1, 2), "radius": spread(3)}
+    if kind == "cylinder":
+        return {"direction": spread(0, 1), "position": spread(2, 3), "radius": spread(4)}
+    return {"direction": spread(0, 1), "position": _apex_error(primitive, info), "half_angle": spread(5)}
+
+
+def _apex_error(cone: Cone, info: Info) -> float:
+    if not np.all(np.isfinite(info.covariance)):
+        return float("inf")
+    local = kinds.move(cone, -info.anchor, 1.0)
+    with jax.enable_x64(True):
+        moved = jax.jacfwd(lambda step: MODULES["cone"].retract(local, step).apex)(jnp.zeros(6))
+    return float(np.sqrt(max(np.trace(np.asarray(moved) @ info.covariance @ np.asarray(moved).T), 0.0)))
+
+
+def _near(primitive: Primitive, given: Segment) -> Float[np.ndarray, " n"]:
+    """The weights without those of points that lie off the primitive by more than the noise explains."""
+    distance = _on_padded(_distance, primitive, given)[: len(given.local)]
+    scale = float(np.median(distance[given.weights > 0])) / NORMAL_SHARE
+    return given.weights * (distance <= OUTLIER * scale)
+
+
+def _on_padded(function: Any, primitive: Primitive, given: Segment) -> Any:
+    """function(primitive, points, weights) with the segment padded to a power of two by points without weight."""
+    size = max(MIN_PADDED, 1 << (len(given.local) - 1).bit_length())
+    answer = function(primitive, _pad(given.local, size), _pad(given.weights, size))
+    return jax.tree.map(np.asarray, answer)
+
+
+def _pad(array: np.ndarray, size: int) -> np.ndarray:
+    return np.pad(array, [(0, size - len(array))] + [(0, 0)] * (array.ndim - 1))
+
+
+def _as_float64(primitive: Primitive) -> Primitive:
+    return type(primitive)(*(np.asarray(field, np.float64) for field in primitive))
+
+
+def _start(kind: str, given: Segment, start: Primitive | None = None) -> Primitive | None:
+    """A primitive near the points by least squares on a sample of them, from the start if there is one."""
+    rows = np.flatnonzero(given.weights)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
+    points, weights = _pad(given.local[rows], SAMPLE), _pad(given.weights[rows], SAMPLE)
+    if start is not None:
+        polished, ok = _polish(start, points, weights)
+        if bool(ok):
+            return _as_float64(polished)
+    if given.normals is not None:
+        polished, ok = _from_normals(points, weights, _pad(given.normals[rows], SAMPLE), kind=kind)
+        if bool(ok):
+            return _as_float64(polished)
+    polished, ok = starts.search(points, weights, kind=kind)
+    return _as_float64(polished) if bool(ok) else None
+
+
+@partial(jax.jit, static_argnames="kind")
+def _from_normals(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"], *, kind: str):
+    first = MODULES[kind].fit(points, weights, normals)
+    polished = starts.polish(first.primitive, points, weights)
+    return polished.primitive, first.ok & polished.ok
+
+
+@jax.jit
+def _polish(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]):
+    polished = starts.polish(start, points, weights)
+    return polished.primitive, polished.ok
+
+
+@jax.jit
+def _least_squares(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]):
+    polished = starts.polish(start, points, weights)
+    return polished.primitive, polished.ok, polished.covariance
+
+
+@jax.jit
+def _estimate(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Estimate:
+    return estimate(start, points, weights)
+
+
+@jax.jit
+def _distance(primitive: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Float[Array, " n"]:
+    return MODULES[primitive.kind].distance(primitive, points)
