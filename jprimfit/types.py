@@ -69,6 +69,13 @@ class Fit(NamedTuple):
     ok: Bool[Any, ""]
 
 
+class Instruments(NamedTuple):
+    """What the distances of n points say of the p unknowns of a primitive: weights of an estimating equation."""
+
+    weights: tuple[Float[Any, "n"], ...]  # p of them: derivative of the distance by the step, times scale
+    scale: Float[Any, "n"]  # 1 / length of the quadric's gradient at the foot of each point
+
+
 class Discrepancy(NamedTuple):
     """How far two primitives of one kind lie apart, free of sign and gauge."""
 

@@ -24,12 +24,14 @@ EXAMPLES = """examples:
   python evaluate.py --compare --json scores.json          network, network with refinement, and geometry alone
   python evaluate.py --data parts.h5 --split val --noise 1
   python evaluate.py --protocol fit4cad --data fit4cad.h5 --clouds 1-151 --method geometry
+  python evaluate.py --table parameters --datasets 1000    single primitives against the bounds of statistics
 
 what is measured (--protocol six), per part, then the mean over parts with its standard error:
   mIoU (of true surfaces with the found ones), type (share of right kinds), normal and axis (degrees),
   residual (distance of clean points to the found surface; the part is 2 long), P cover (points nearer than 0.01)
 """
 METHODS = ("pointconv", "spfn", "geometry")
+BLOCKS = ("whole", "part", "few-points", "coverage")
 LATER = ("cpfn", "ransac")
 BATCH = 8  # clouds that a network sees at once
 MIN_POINTS = 128
@@ -58,7 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--clouds", default="1-1000", metavar="A-B", help="fit4cad: clouds PCA to PCB, such as 1-151 (default all)")
     add("--rotate", action="store_true", help="fit4cad: turn every cloud at random (seeded)")
     add("--json", type=Path, metavar="FILE", help="write the scores of every part as JSON")
-    add("--table", help=argparse.SUPPRESS)
+    add("--table", choices=["parameters", "1", "timing"], help="a table of the paper; built: parameters")
+    add("--datasets", type=int, default=100, metavar="N", help="table parameters: data sets per cell (default 100)")
+    add("--block", choices=BLOCKS, help="table parameters: only this block (default all)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -67,7 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
     from jprimfit.apps.cache import use_compilation_cache
 
     use_compilation_cache()
-    scores = _fit4cad(arguments) if arguments.protocol == "fit4cad" else _six(arguments)
+    if arguments.table == "parameters":
+        scores = _parameters(arguments)
+    else:
+        scores = _fit4cad(arguments) if arguments.protocol == "fit4cad" else _six(arguments)
     if arguments.json:
         from jprimfit.evaluation.tables import without_nan
         from jprimfit.io.files import replacing
@@ -80,9 +87,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuses what cannot be meant, before anything is computed."""
-    if arguments.method in LATER or arguments.table is not None:
-        word = "--table" if arguments.table is not None else f"--method {arguments.method}"
-        raise ValueError(f"{word} is not built yet: use --method {' or '.join(METHODS)}, or --compare.")
+    if arguments.table in ("1", "timing"):
+        raise ValueError(f"--table {arguments.table} is not built yet: use --table parameters, or --compare.")
+    if arguments.method in LATER:
+        raise ValueError(f"--method {arguments.method} is not built yet: use {' or '.join(METHODS)}, or --compare.")
+    if arguments.datasets < 2:
+        raise ValueError(f"--datasets {arguments.datasets} cannot be: give 2 or more, for a mean and its spread.")
     if arguments.method not in METHODS:
         raise ValueError(f"--method {arguments.method!r} is none; expected {', '.join(METHODS)}.")
     if arguments.noise is not None and not 0 <= arguments.noise < np.inf or arguments.every < 1:
@@ -213,6 +223,21 @@ def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
     mean = {key: _mean([part[key] for part in parts]) for key in parts[0] if key != "name"}
     print(_line(f"mean {len(parts)}", mean))
     return {"mean": mean, "parts": parts}
+
+
+def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The paper's Tables 2-5 with bounds, and the blocks that they leave out."""
+    from tqdm import tqdm
+
+    from jprimfit.apps.cache import use_compilation_cache
+    from jprimfit.evaluation import parameters
+
+    chosen = [cell for cell in parameters.cells() if arguments.block in (None, cell.block.replace(" ", "-"))]
+    total = sum(parameters.count_of(cell, arguments.datasets) for cell in chosen)
+    with tqdm(total=total, unit="data set", mininterval=0.5, file=sys.stderr) as bar:
+        rows = parameters.run(chosen, arguments.datasets, initializer=use_compilation_cache, progress=bar.update)
+    print(parameters.text(rows))
+    return {"datasets": arguments.datasets, "cells": rows}
 
 
 def _mean(values: list) -> float:

@@ -34,23 +34,28 @@ def segment(points: Any, weights: Any = None, normals: Any = None) -> Segment:
     normals = None if normals is None else _numbers(normals, "normals", 3)
     if normals is not None and len(normals) != len(points):
         raise ValueError(f"normals has {len(normals)} rows and points {len(points)}: give one normal per point.")
-    counted = weights > 0.0
-    used, weights = points[counted], weights[counted] / max(float(weights.max()), 1e-300)
-    if len(used) == 0:
-        return Segment(used, weights, None, points[0] + (points - points[0]).mean(axis=0), 0.0)
+    center, counted = points[0] + (points - points[0]).mean(axis=0), weights > 0.0
+    if not counted.all():
+        points, weights, normals = points[counted], weights[counted], None if normals is None else normals[counted]
+    if len(points) == 0:
+        return Segment(points, weights, None, center, 0.0)
+    weights = weights / weights.max()
     share = weights / weights.sum()
-    anchor = used[0] + share @ (used - used[0])
-    offset = used - anchor
-    largest = float(np.abs(offset).max())
+    offset = points - points[0]
+    center = share @ offset
+    anchor, offset = points[0] + center, offset - center
+    largest = float(max(offset.max(), -offset.min()))
     # What is left of equal points after the subtraction is rounding.
     if largest <= 8.0 * np.finfo(float).eps * float(np.abs(anchor).max()):
-        return Segment(used, weights, None, anchor, 0.0)
-    size = largest * float(np.sqrt(share @ np.sum((offset / largest) ** 2, axis=1)))
-    if normals is not None:
-        normals = normals[counted]
-        normals = normals / np.maximum(np.abs(normals).max(axis=1, keepdims=True), 1e-300)
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return Segment(offset / size, weights, normals, anchor, size)
+        return Segment(points, weights, None, anchor, 0.0)
+    offset = offset / largest
+    size = float(np.sqrt(share @ np.einsum("nc,nc->n", offset, offset)))
+    return Segment(offset / size, weights, None if normals is None else _unit(normals), anchor, largest * size)
+
+
+def _unit(normals: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+    normals = normals / np.maximum(np.abs(normals).max(axis=1, keepdims=True), 1e-300)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
 def _numbers(value: Any, name: str, width: int | None) -> np.ndarray:
@@ -63,6 +68,6 @@ def _numbers(value: Any, name: str, width: int | None) -> np.ndarray:
     if array.dtype.kind not in "fiu" or not expected:
         raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}: give real numbers of shape {shape}.")
     array = array.astype(np.float64)
-    if not np.all(np.abs(array) <= MAX_MAGNITUDE):
+    if array.size and not (array.max() <= MAX_MAGNITUDE and array.min() >= -MAX_MAGNITUDE):
         raise ValueError(f"{name} holds NaN, infinities or values beyond {MAX_MAGNITUDE:g}: leave such rows out.")
     return array

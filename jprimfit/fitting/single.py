@@ -23,6 +23,9 @@ from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
 METHODS = ("best", "unbiased", "least-squares", *associations.METHODS)
 SAMPLE = 1_024  # points of the search for a start
+NOISY = 0.05  # sizes of the segment: noise beyond which several starts may be tried
+MANY = 8_192  # points on which they are
+MAX_BLOB = 0.35  # noise over the distance from the center or axis that a surface seen from all sides may have
 MIN_PADDED = 256
 OUTLIER = 3.5  # distances beyond so many standard deviations (from the median) are left out of a robust fit
 ROUNDS = 3  # of a robust fit's choice of points
@@ -104,16 +107,15 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
         primitive, ok, covariance = _on_padded(_least_squares, start, given)
         return _answer(primitive, given, ok, None, covariance, starts.NUM_STEPS, method)
     solved = _on_padded(_estimate, start, given)
-    if not bool(solved.ok) and given.normals is not None:  # the normals may have been no good
-        start = _start(kind, given._replace(normals=None)) or start
+    if kind != "plane" and not (bool(solved.ok) and _is_plain(solved, given)):
+        start = _of_several(kind, start, given)
         solved = _on_padded(_estimate, start, given)
     if kind == "cone" and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
         cone = _as_float64(solved.primitive)
         likely = full_cone.fit(cone, np.asarray(frame_of(cone.axis)), float(solved.sigma), given.local)
         if likely:
-            return _answer(
-                likely.cone, given, True, likely.sigma, likely.covariance, likely.num_iterations, "likelihood"
-            )
+            steps = solved.num_iterations
+            return _answer(likely.cone, given, True, likely.sigma, likely.covariance, steps, "likelihood")
     return _answer(
         solved.primitive, given, solved.ok, solved.sigma, solved.covariance, solved.num_iterations, "unbiased"
     )
@@ -217,8 +219,45 @@ def _start(kind: str, given: Segment, start: Primitive | None = None) -> Primiti
         polished, ok = _from_normals(points, weights, _pad(given.normals[rows], SAMPLE), kind=kind)
         if bool(ok):
             return _as_float64(polished)
-    polished, ok = starts.search(points, weights, kind=kind)
-    return _as_float64(polished) if bool(ok) else None
+    found = starts.search(points, weights, kind=kind)
+    return _as_float64(jax.tree.map(lambda field: field[0], found.primitive)) if bool(found.ok[0]) else None
+
+
+def _is_plain(solved: Estimate, given: Segment) -> bool:
+    """Whether there can be no other solution: little noise, or a surface seen from all sides that is no blob of it."""
+    primitive, sigma = _as_float64(solved.primitive), float(solved.sigma)
+    if sigma < NOISY:
+        return True
+    if isinstance(primitive, Sphere):
+        offset = given.local - primitive.center
+    else:
+        offset = given.local - (primitive.apex if isinstance(primitive, Cone) else primitive.center)
+        offset = offset - (offset @ primitive.axis)[:, None] * primitive.axis
+    distance = np.sqrt(np.einsum("nc,nc->n", offset, offset))
+    one_sided = np.linalg.norm((offset / np.maximum(distance, 1e-9)[:, None]).mean(axis=0)) > 0.5
+    return not one_sided and sigma < MAX_BLOB * float(distance.mean())
+
+
+def _of_several(kind: str, start: Primitive, given: Segment) -> Primitive:
+    """Of several starts the one whose solution leaves the least noise: the equations have more than one solution."""
+    rows = np.flatnonzero(given.weights)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MANY)).astype(int)]
+    found = _several(start, _pad(given.local[rows], MANY), _pad(given.weights[rows], MANY), kind=kind)
+    sigma = np.where(found.ok & (found.sigma > 0.0), found.sigma, np.inf)
+    best = int(np.argmin(sigma))
+    return _as_float64(jax.tree.map(lambda field: field[best], found.primitive)) if np.isfinite(sigma[best]) else start
+
+
+@partial(jax.jit, static_argnames="kind")
+def _several(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str) -> Estimate:
+    searched = starts.search(points[:: MANY // SAMPLE], weights[:: MANY // SAMPLE], kind=kind)
+    stacks = [
+        jax.tree.map(lambda field: field[None], start),
+        searched.primitive,
+        starts.bent(points, weights, kind=kind),
+    ]
+    guesses = jax.tree.map(lambda *fields: jnp.concatenate(fields), *stacks)
+    return jax.vmap(estimate, (0, None, None))(guesses, points, weights)
 
 
 @partial(jax.jit, static_argnames="kind")

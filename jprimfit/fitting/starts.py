@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jprimfit.geometry import safe
-from jprimfit.geometry.linalg import HIGHEST, effective_count, frame_of
+from jprimfit.geometry.linalg import HIGHEST, effective_count, frame_of, moments
 from jprimfit.primitives.table import MODULES
 from jprimfit.solvers import least_squares
-from jprimfit.types import Cone, Cylinder, Primitive
+from jprimfit.types import Cone, Cylinder, Primitive, Sphere
 
 NUM_DIRECTIONS = 64  # on the half sphere, about 20 degrees apart
 NUM_POLISHED = 4  # best guesses that are polished
@@ -36,8 +36,8 @@ class Polished(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="kind")
-def search(points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str) -> tuple[Any, Bool[Array, ""]]:
-    """The primitive of a kind with the least squared distances of those found from many directions, and if it is ok."""
+def search(points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str) -> Polished:
+    """The primitives of least squared distances near the best of many guesses, the best first (leading axis)."""
     module = MODULES[kind]
     if kind in ("plane", "sphere"):
         guesses = jax.tree.map(lambda field: field[None], module.fit(points, weights, jnp.zeros_like(points)).primitive)
@@ -49,8 +49,47 @@ def search(points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: st
         best = jnp.argsort(jnp.where(jnp.isfinite(cost), cost, jnp.inf))[:NUM_POLISHED]
         guesses = jax.tree.map(lambda field: field[best], guesses)
     polished = jax.vmap(polish, (0, None, None))(guesses, points, weights)
-    best = jnp.argmin(polished.cost)
-    return jax.tree.map(lambda field: field[best], polished.primitive), polished.ok[best]
+    order = jnp.argsort(polished.cost)
+    return jax.tree.map(lambda field: field[order], polished)
+
+
+def bent(points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str) -> Any:
+    """Guesses for a patch that noise has made as thick as it is bent: a stack of primitives, none for a plane.
+
+    Least squares may then prefer a small surface inside the blob. Here the patch is a graph z = a + b·t + t·H t / 2
+    over the plane of most extent, whose curvature noise can weaken but not turn into that of the blob.
+    """
+    frame = jnp.linalg.eigh(moments(points, weights).covariance)[1].T[::-1]
+    frame = jnp.stack([frame[0], frame[1], jnp.cross(frame[0], frame[1])])
+    x, y, z = jnp.matmul(frame, points.T, precision=HIGHEST)
+    rows = [jnp.ones_like(x), x, y, x * x / 2, x * y, y * y / 2]
+    level, _, _, xx, xy, yy = _solve(rows, z, weights)
+    curvatures, directions = jnp.linalg.eigh(jnp.stack([xx, xy, xy, yy]).reshape(2, 2))
+    strongest = jnp.argmax(jnp.abs(curvatures))
+    flat = jnp.matmul(directions[:, 1 - strongest], frame[:2], precision=HIGHEST)
+    normal, foot = frame[2], level * frame[2]
+
+    def radius_of(curvature: Float[Array, ""]) -> Float[Array, ""]:
+        bounded = jnp.where(jnp.abs(curvature) < 1 / MAX_SIZE, 1 / MAX_SIZE, curvature)
+        return 1 / bounded
+
+    if kind == "sphere":
+        radius = radius_of(jnp.mean(curvatures))
+        return Sphere((foot + radius * normal)[None], jnp.abs(radius)[None])
+    radius = radius_of(curvatures[strongest])
+    if kind == "cylinder":
+        return Cylinder(flat[None], (foot + radius * normal)[None], jnp.abs(radius)[None])
+
+    def cone(generator: Float[Array, "3"], half_angle: Float[Array, ""]) -> Cone:
+        """The cone on which the foot has this generator, the patch's normal and its curvature cos / radius."""
+        outwards = -jnp.sign(radius) * normal
+        cosine, sine = jnp.cos(half_angle), jnp.sin(half_angle)
+        across, axis = cosine * outwards + sine * generator, cosine * generator - sine * outwards
+        from_axis = jnp.abs(radius) * cosine
+        return Cone(axis, foot - from_axis * (across + cosine / sine * axis), half_angle)
+
+    generators = jnp.stack([flat, -flat, flat, -flat])
+    return jax.vmap(cone)(generators, jnp.array([0.3, 0.3, 0.8, 0.8], points.dtype))
 
 
 def polish(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Polished:

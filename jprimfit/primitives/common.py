@@ -6,6 +6,7 @@ standard error that the residuals and the effective number of points leave on a 
 With weights that follow no model (soft memberships) it still tells a shape from a shapeless blob.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jprimfit.geometry import safe
-from jprimfit.geometry.linalg import LinearSolution, effective_count, ridge_solve, weighted_mean
+from jprimfit.geometry.linalg import HIGHEST, LinearSolution, effective_count, ridge_solve, weighted_mean
 
 # A direction is determined if the two smallest eigenvalues differ by this part of the largest (a strip 300 times as
 # long as wide just passes) and its standard error is below this angle.
@@ -22,6 +23,7 @@ MAX_DIRECTION_STD = 0.1
 # A position is determined if the normal equations are (linalg.MAX_CONDITION) and its standard error is below this part
 # of its distance from the points, or of their size if that is more.
 MAX_POSITION_STD = 0.1
+SQ_BLUR = 4.0  # (standard deviations)^2 within which a direction from an axis or a center fades out
 
 
 class Standard(NamedTuple):
@@ -82,6 +84,17 @@ def fit_round(
     sq_radius = jnp.sum(weights * jnp.sum((centred - solution.x[None, :]) ** 2, axis=1))
     ok = position_determined(solution, jax.lax.stop_gradient(safe.sqrt(mean_sq_distance)))
     return solution.x, safe.sqrt(sq_radius), ok
+
+
+def frame_coordinates(points: Float[Array, "n 3"], frame: Float[Array, "3 3"]) -> tuple[Float[Array, " n"], ...]:
+    """The coordinates along the three rows of a frame, one array each: what follows runs over whole arrays."""
+    return tuple(jnp.matmul(frame, points.T, precision=HIGHEST))
+
+
+def blurred_reciprocal(offset: Sequence[Float[Array, " n"]], variance: Float[Array, ""]) -> Float[Array, " n"]:
+    """1 / |offset|, smooth over the reach of noise of that variance: its derivatives stay bounded at offset 0."""
+    floor = jnp.finfo(variance.dtype).tiny ** 0.5
+    return jax.lax.rsqrt(sum(coordinate * coordinate for coordinate in offset) + SQ_BLUR * variance + floor)
 
 
 def steer(axis: Float[Array, "3"], frame: Float[Array, "3 3"], tilt: Float[Array, "2"]) -> Float[Array, "3"]:

@@ -15,9 +15,16 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, moments, ridge_solve, weighted_mean
-from jprimfit.primitives.common import direction_determined, position_determined, standardise, steer
-from jprimfit.primitives.quadrics import Quadric, polynomial
-from jprimfit.types import Cone, Discrepancy, Fit
+from jprimfit.primitives.common import (
+    blurred_reciprocal,
+    direction_determined,
+    frame_coordinates,
+    position_determined,
+    standardise,
+    steer,
+)
+from jprimfit.primitives.quadrics import Quadric
+from jprimfit.types import Cone, Discrepancy, Fit, Instruments
 
 KIND = "cone"
 NUM_FREEDOM = 6
@@ -28,6 +35,7 @@ MAX_HALF_ANGLE = math.pi / 2 - MIN_HALF_ANGLE
 # A plane with noisy normals looks like a cone of nearly a right half-angle whose points lie on both sides of the apex:
 # at least three quarters of the heights must agree in sign.
 MIN_ONE_SIDED = 0.5
+SQ_APEX_BLUR = 9.0  # (standard deviations)^2 within which the weight of points levels off towards the apex
 MIN_ON_NAPPE = 0.9  # of the weight: more than noise at the apex can leave behind it
 
 
@@ -175,17 +183,37 @@ def canonical(primitive: Cone, anchor: Float[Array, "3"]) -> Cone:
 
 
 def quadric(primitive: Cone) -> Quadric:
-    """cos^2 |u|^2 - L^2 with u the vector from the axis and L = sin axis·(x - apex); |grad| = 2 L on the surface.
+    """cos^2 |u|^2 - L^2 with u the vector from the axis and L = sin axis·(x - apex).
 
     Written about the axis point nearest the origin, so that a far apex costs no digits.
     """
     axis, apex, half_angle = primitive
-    sq_cosine, slope = jnp.cos(half_angle) ** 2, jnp.sin(half_angle) * axis
-    height = -jnp.dot(slope, apex, precision=HIGHEST)
+    cosine, sine = jnp.cos(half_angle), jnp.sin(half_angle)
+    height = -sine * jnp.dot(apex, axis, precision=HIGHEST)
     across = apex - jnp.dot(apex, axis, precision=HIGHEST) * axis
-    matrix = sq_cosine * jnp.eye(3, dtype=axis.dtype) - axis[:, None] * axis[None, :]
-    constant = sq_cosine * jnp.sum(across * across) - height * height
-    return Quadric(polynomial(matrix, -2 * (sq_cosine * across + height * slope), constant), height, slope)
+    curvature = jnp.stack([cosine**2, cosine**2, -(sine**2)])
+    vector = -2 * (cosine**2 * across + height * sine * axis)
+    return Quadric(frame_of(axis), curvature, vector, cosine**2 * jnp.sum(across * across) - height * height)
+
+
+def instruments(primitive: Cone, points: Float[Array, "n 3"], variance: Float[Array, ""]) -> Instruments:
+    """What distances say of tilts, shifts, push and half-angle: all constant along the surface's normals.
+
+    With s the slant, measured from the height of the axis point nearest the origin, and c the direction from the axis:
+    s c, c, 1, s. The gradient at a point's foot is 2 L long, L growing in proportion to the distance from the apex.
+    """
+    axis, apex, half_angle = primitive
+    cosine, sine = jnp.cos(half_angle), jnp.sin(half_angle)
+    height = -jnp.dot(apex, axis, precision=HIGHEST)
+    x, y, h = frame_coordinates(points - (apex + height * axis)[None, :], frame_of(axis))
+    reciprocal, push = blurred_reciprocal((x, y), variance), height * sine
+    radius = 1 / reciprocal
+    slant = radius * sine + h * cosine - safe.divide(push * sine, cosine)
+    length = cosine * (cosine * push + sine * cosine * h + sine * sine * radius)
+    floor = jnp.finfo(points.dtype).tiny ** 0.5
+    scale = length / (length * length + SQ_APEX_BLUR * variance * (sine * cosine) ** 2 + floor) / 2
+    shrink = scale * reciprocal
+    return Instruments((slant * shrink * x, slant * shrink * y, shrink * x, shrink * y, scale, slant * scale), scale)
 
 
 def sound(primitive: Cone, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:

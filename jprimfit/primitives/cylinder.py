@@ -11,9 +11,16 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, orient, weighted_mean
-from jprimfit.primitives.common import direction_determined, fit_round, standardise, steer
-from jprimfit.primitives.quadrics import Quadric, polynomial
-from jprimfit.types import Cylinder, Discrepancy, Fit
+from jprimfit.primitives.common import (
+    blurred_reciprocal,
+    direction_determined,
+    fit_round,
+    frame_coordinates,
+    standardise,
+    steer,
+)
+from jprimfit.primitives.quadrics import Quadric
+from jprimfit.types import Cylinder, Discrepancy, Fit, Instruments
 
 KIND = "cylinder"
 NUM_FREEDOM = 5
@@ -118,11 +125,19 @@ def _split(primitive: Cylinder, points: Float[Array, "n 3"]) -> tuple[Float[Arra
 
 
 def quadric(primitive: Cylinder) -> Quadric:
-    """|v|^2 - (axis·v)^2 - radius^2 with v = x - center, with a gradient of length 2 radius."""
+    """|v|^2 - (axis·v)^2 - radius^2 with v = x - center."""
     axis, center, radius = primitive
-    matrix = jnp.eye(3, dtype=axis.dtype) - axis[:, None] * axis[None, :]
-    across = jnp.matmul(matrix, center, precision=HIGHEST)
-    return Quadric(polynomial(matrix, -2 * across, jnp.sum(center * across) - radius * radius), radius)
+    across = center - jnp.dot(center, axis, precision=HIGHEST) * axis
+    curvature = jnp.array([1, 1, 0], axis.dtype)
+    return Quadric(frame_of(axis), curvature, -2 * across, jnp.sum(across * across) - radius * radius)
+
+
+def instruments(primitive: Cylinder, points: Float[Array, "n 3"], variance: Float[Array, ""]) -> Instruments:
+    """What distances say of tilts, shifts and radius: height times direction from the axis, direction, and 1."""
+    x, y, height = frame_coordinates(points - primitive.center[None, :], frame_of(primitive.axis))
+    scale = jnp.broadcast_to(safe.divide(jnp.ones_like(primitive.radius), 2 * primitive.radius), x.shape)
+    shrink = scale * blurred_reciprocal((x, y), variance)
+    return Instruments((height * shrink * x, height * shrink * y, shrink * x, shrink * y, scale), scale)
 
 
 def sound(primitive: Cylinder, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:

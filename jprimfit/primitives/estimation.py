@@ -1,35 +1,36 @@
 """Estimates that noise does not bias, for all four kinds and any part of the surface, with their covariance.
 
 Least squares of the distances sees a curved surface from outside: with noise of standard deviation s the radius of a
-sphere comes out s^2 / r too large, and that of a patch anything. Here the equations are corrected, not the answer. Let
-f(x; t) = 0 be the quadric and g = 1 / |grad f|^2. The sum of f df/dt g over clean points is 0 at the true t. A noisy
-point gives the same expectation once every term F in it is replaced by exp(-v Laplace / 2) F, v = s^2, whatever point
-of the surface it belongs to: nothing is assumed about where the surface was seen. The equation of f f g gives v.
-(Adjusted least squares, with g = 1: Kukush, Markovsky & Van Huffel 2004.)
+sphere comes out s^2 / r too large, and that of a patch anything. Here the equations are corrected, not the answer.
+Least squares solves sum f k = 0, with f = 0 the quadric and k the derivative of the distance by the unknowns over
+|grad f|. The sum of f(X) k (see `quadrics`) has the same solution for clean points and, with v = s^2, the expectation 0
+for noisy ones, wherever on the surface they belong: nothing is assumed about which part was seen, or how densely. One
+more equation, f(X) (f / |grad f|^2) = 0, gives v. (Adjusted least squares: Kukush, Markovsky & Van Huffel 2004, with
+k = df/dt. Here k is constant along the normals, so that noise across the surface does not enter it.)
 
-g = 1 / 4 (L^2 + l^2), L(x) linear with |grad f| = 2 |L| on the surface: constant but for cones, where L grows from the
-apex and l keeps g smooth at the scale of the noise. The covariance is the sandwich A^-1 B A^-T of these equations, the
-one of v included, so that it holds for any part of the surface, too. n points, p unknowns of the step, q = p + 1.
+The covariance is the sandwich A^-1 B A^-T of these equations, that of v included: it holds for any part of the surface,
+too. n points, p unknowns of the step, q = p + 1.
 """
 
-import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST
 from jprimfit.primitives.common import Standard, standardise
-from jprimfit.primitives.quadrics import Quadric, derivative, monomials, noise_term
 from jprimfit.primitives.table import of
 from jprimfit.types import Primitive
 
-SMOOTHNESS = 3.0  # l over the standard deviation that the noise gives to L
 MAX_ITERATIONS = 30
+SAMPLE = 4_096  # points of the first iterations
+CHUNK = 1_024  # points at a time
+MAX_GROWTH = 4.0  # of the variance over the mean squared distance from the start
 MAX_STEP = 0.3  # of one iteration, in radians and rms sizes of the segment
-CONVERGED = 1e-2  # the last step, in standard errors; Newton leaves far less
+CONVERGED = 1e-2  # what the last step may leave, in standard errors
 
 
 class Estimate(NamedTuple):
@@ -43,15 +44,17 @@ class Estimate(NamedTuple):
 
 
 class _Equations(NamedTuple):
-    value: Float[Array, " q"]  # weighted sums; those of the step, then that of v
-    jacobian: Float[Array, "q q"]
+    """Weighted sums of mean 0 at the true primitive and variance; the last belongs to the variance."""
+
+    value: Float[Array, " q"]
+    jacobian: Float[Array, "q q"]  # expectation of the derivative by the step and the variance
     covariance: Float[Array, "q q"]  # of the value
 
 
 class _State(NamedTuple):
     primitive: Primitive  # at unit scale
     variance: Float[Array, ""]
-    moved: Float[Array, ""]  # by the last iteration, in standard errors
+    moved: Float[Array, ""]  # what the last iteration may have left, in standard errors
     iteration: Int[Array, ""]
 
 
@@ -64,10 +67,10 @@ def estimate(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array
     module, standard = of(start), standardise(points, weights)
     fixed = jax.lax.stop_gradient(standard)
     state = _solve(jax.lax.stop_gradient(_localised(start, fixed)), fixed)
-    equations = _equations(state.primitive, state.variance, fixed)
+    residual = _equations(state.primitive, state.variance, standard)
+    equations = jax.lax.stop_gradient(residual)
     inverse, regular = _inverse(equations.jacobian)
-    residual = _equations(state.primitive, state.variance, standard).value
-    change = -jnp.matmul(inverse, residual - jax.lax.stop_gradient(residual), precision=HIGHEST)
+    change = -jnp.matmul(inverse, residual.value - equations.value, precision=HIGHEST)
     solved = module.retract(state.primitive, change[:-1])
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves((solved, inverse))]))
     freedom = fixed.count - module.NUM_FREEDOM - 1
@@ -82,104 +85,142 @@ def estimate(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array
 
 
 def _solve(start: Primitive, standard: Standard) -> _State:
-    module, origin = of(start), jnp.zeros_like(standard.center)
+    """Newton's method, first on every so many points, because all of them only have to add the last digits."""
     first = _mean_square(start, standard)
+    state = _State(start, first, jnp.full_like(first, jnp.inf), jnp.zeros((), jnp.int32))
+    stride = len(standard.weights) // SAMPLE
+    if stride > 1:
+        sample = standard._replace(local=standard.local[::stride], weights=standard.weights[::stride])
+        found = _iterate(state, sample)
+        good = found.moved < CONVERGED
+        state = jax.tree.map(lambda new, old: jnp.where(good, new, old), found, state)
+        state = state._replace(moved=jnp.full_like(first, jnp.inf))
+    return _iterate(state, standard)
+
+
+def _iterate(first: _State, standard: Standard) -> _State:
+    module, origin = of(first.primitive), jnp.zeros_like(standard.center)
 
     def step(state: _State) -> _State:
         equations = _equations(state.primitive, state.variance, standard)
         inverse, _ = _inverse(equations.jacobian)
         change = -jnp.matmul(inverse, equations.value, precision=HIGHEST)
         change = jnp.where(jnp.all(jnp.isfinite(change)), change, 0)
-        errors = safe.sqrt(jnp.diagonal(_propagated(inverse, equations)))[:-1]
         # Where the points fit exactly the standard errors are 0, and what is left of a step is rounding.
-        rounding = 100 * jnp.finfo(errors.dtype).eps * jnp.sum(jnp.abs(inverse), axis=1)[:-1]
-        moved = jnp.max(jnp.abs(change[:-1]) / (errors + rounding / CONVERGED))
+        rounding = 100 * jnp.finfo(change.dtype).eps * jnp.sum(jnp.abs(inverse), axis=1)
+        errors = safe.sqrt(jnp.diagonal(_propagated(inverse, equations))) + rounding / CONVERGED
         length = jnp.max(jnp.abs(change[:-1]))
+        # Of a step that is small against the segment the next one is the square.
+        moved = jnp.max(jnp.abs(change[:-1]) / errors[:-1]) * jnp.minimum(1, 3 * length)
         change = change * jnp.minimum(1, safe.divide(jnp.full_like(length, MAX_STEP), length))
         primitive = module.canonical(module.retract(state.primitive, change[:-1]), origin)
-        variance = jnp.clip(state.variance + change[-1], 0, 4 * first)
+        variance = jnp.clip(state.variance + change[-1], 0, MAX_GROWTH * first.variance)
         return _State(primitive, variance, moved, state.iteration + 1)
 
     def unfinished(state: _State) -> Bool[Array, ""]:
         return (state.iteration < MAX_ITERATIONS) & ~(state.moved < CONVERGED)
 
-    state = _State(start, first, jnp.full_like(first, jnp.inf), jnp.zeros((), jnp.int32))
-    return jax.lax.while_loop(unfinished, step, state)
+    return jax.lax.while_loop(unfinished, step, first)
 
 
 def _equations(primitive: Primitive, variance: Float[Array, ""], standard: Standard) -> _Equations:
+    """The sums over all points, a chunk at a time, so that what is made of a point stays in the cache."""
+    num_points = len(standard.weights)
+    num_chunks = -(-num_points // CHUNK)
+    if num_chunks == 1:
+        return _summed(primitive, variance, standard, standard.local, standard.weights)
+    padding = num_chunks * CHUNK - num_points
+    points = jnp.pad(standard.local, ((0, padding), (0, 0))).reshape(num_chunks, CHUNK, 3)
+    weights = jnp.pad(standard.weights, (0, padding)).reshape(num_chunks, CHUNK)
+    zero = jax.tree.map(
+        lambda field: jnp.zeros(field.shape, field.dtype),
+        jax.eval_shape(lambda: _summed(primitive, variance, standard, points[0], weights[0])),
+    )
+
+    def add(total: _Equations, chunk):
+        return jax.tree.map(jnp.add, total, _summed(primitive, variance, standard, *chunk)), None
+
+    return jax.lax.scan(add, zero, (points, weights))[0]
+
+
+def _summed(
+    primitive: Primitive, variance: Float[Array, ""], standard: Standard, points, weights: Float[Array, " n"]
+) -> _Equations:
     module = of(primitive)
     quadric = module.quadric(primitive)
+    surface = quadric.value(points)
+    gradient = _along_frame(quadric.frame, 2 * quadric.matrix, quadric.vector, points)
 
-    def moved(step: Float[Array, " p"]) -> Float[Array, "10"]:
-        return module.quadric(module.retract(primitive, step)).polynomial
+    def instruments(at: Float[Array, "n 3"]) -> Float[Array, "q n"]:
+        found = module.instruments(primitive, at, variance)
+        return jnp.stack([*found.weights, found.scale * found.scale * quadric.value(at)])
 
-    partial = jax.jacfwd(moved)(jnp.zeros(module.NUM_FREEDOM, variance.dtype))
-    values, jacobian = _corrected(quadric, jnp.column_stack([partial, quadric.polynomial]), variance, standard)
+    values, first, second = _derivatives(instruments, points, quadric.frame)
+    # d/dv of f(X) k, and f(X) k itself; q n.
+    curved = sum(curvature * derivative for curvature, derivative in zip(quadric.curvature, second, strict=True))
+    along = sum(slope[None, :] * derivative for slope, derivative in zip(gradient, first, strict=True))
+    by_variance = 2 * variance * curved - jnp.sum(quadric.curvature) * values - along
+    equations = surface[None, :] * values + variance * (by_variance - variance * curved)
     # Points lie nearer to the surface fitted to them than to the true one, by p of n degrees of freedom.
     used = jnp.minimum(safe.divide(jnp.full_like(variance, module.NUM_FREEDOM), standard.count), 0.9)
-    values = values.at[:, -1].add(used * variance)
-    weighted = standard.weights[:, None] * values
-    value = jnp.sum(weighted, axis=0)
-    jacobian = jacobian.at[-1, :-1].set(2 * value[:-1]).at[-1, -1].add(used)
-    return _Equations(value, jacobian, jnp.matmul(weighted.T, weighted, precision=HIGHEST))
+    equations, by_variance = equations.at[-1].add(used * variance), by_variance.at[-1].add(used)
+
+    weighted = weights[None, :] * equations
+    by_step = _by_step(module, primitive, variance, points, weights[None, :] * values, [weights * d for d in first])
+    return _Equations(
+        jnp.sum(weighted, axis=1),
+        jnp.column_stack([by_step, jnp.matmul(by_variance, weights, precision=HIGHEST)]),
+        jnp.matmul(weighted, weighted.T, precision=HIGHEST),
+    )
 
 
-def _corrected(
-    quadric: Quadric, factors: Float[Array, "10 q"], variance: Float[Array, ""], standard: Standard
-) -> tuple[Float[Array, "n q"], Float[Array, "q q"]]:
-    """exp(-v Laplace / 2) (f factor g) for every point and factor, and the Jacobian of their weighted sums.
+def _derivatives(function, points: Float[Array, "n 3"], frame: Float[Array, "3 3"]):
+    """A function of points, (q, n), and its first and second derivatives along each row of a frame."""
 
-    With d = slope·grad, F = f factor, F' = exp(-v Laplace / 2) F and g a function of L only, it is the sum over m of
-    (-v)^m / m! (d^m F') (d/dL)^m g. The Jacobian is that of the expectation, where terms with f vanish; its
-    corrections take g as constant.
+    def along(row: Float[Array, "3"]):
+        tangent = jnp.broadcast_to(row[None, :], points.shape)
+
+        def first(at: Float[Array, "n 3"]):
+            return jax.jvp(function, (at,), (tangent,))
+
+        (values, slope), (_, curvature) = jax.jvp(first, (points,), (tangent,))
+        return values, slope, curvature
+
+    found = [along(row) for row in frame]
+    return found[0][0], [slope for _, slope, _ in found], [curvature for *_, curvature in found]
+
+
+def _along_frame(frame, matrix, vector, points: Float[Array, "n 3"]) -> Float[Array, "3 n"]:
+    """Of the vectors matrix x + vector at each point x, the components along the rows of a frame."""
+    turned = jnp.matmul(frame, matrix, precision=HIGHEST)
+    return jnp.matmul(turned, points.T, precision=HIGHEST) + jnp.matmul(frame, vector, precision=HIGHEST)[:, None]
+
+
+def _by_step(module, primitive: Primitive, variance, points, values: Float[Array, "q n"], first) -> Float[Array, "q p"]:
+    """The derivative of the sums by the step: sums of df/dt(X) k, values and derivatives of k weighted.
+
+    What dk/dt would add has mean 0; v^2 M : hess k is left out, a part of 1e-3 at most.
     """
-    surface = quadric.polynomial
-    at_points = monomials(standard.local)
-    weights = _line_weights(quadric, variance, standard.local)
-    surface_derivatives, factor_derivatives = [surface], [factors]
-    if quadric.slope is not None:
-        along = jax.vmap(derivative, (1, None), 1)
-        for _ in range(2):
-            surface_derivatives.append(derivative(surface_derivatives[-1], quadric.slope))
-            factor_derivatives.append(along(factor_derivatives[-1], quadric.slope))
-    surface_values = [jnp.matmul(at_points, a, precision=HIGHEST) for a in surface_derivatives]
-    factor_values = [jnp.matmul(at_points, a, precision=HIGHEST) for a in factor_derivatives]
-    noise_terms = jax.vmap(noise_term, (None, 1, None), 1)
-    total = 0.0
-    for order, weight in enumerate(weights):
-        shares = [(math.comb(order, i), i, order - i) for i in range(order + 1) if i < 3 and order - i < 3]
-        product = sum(c * surface_values[i][:, None] * factor_values[j] for c, i, j in shares)
-        noise = sum(c * noise_terms(surface_derivatives[i], factor_derivatives[j], variance) for c, i, j in shares)
-        total = total + weight[:, None] * (product + jnp.matmul(at_points, noise, precision=HIGHEST))
 
-    weight = standard.weights * weights[0]
-    sums = jnp.matmul(weight, at_points, precision=HIGHEST)
-    squares = jnp.matmul((weight[:, None] * factor_values[0]).T, factor_values[0], precision=HIGHEST)
-    both = jax.vmap(jax.vmap(noise_term, (None, 1, None)), (1, None, None))(factors, factors, variance)
-    jacobian = squares + jnp.matmul(both, sums, precision=HIGHEST)
-    by_variance = jax.jacfwd(lambda v: noise_terms(surface, factors, v))(variance)
-    return total, jacobian.at[:, -1].set(jnp.matmul(sums, by_variance, precision=HIGHEST))
+    def polynomial(step: Float[Array, " p"]):
+        moved = module.quadric(module.retract(primitive, step))
+        return moved.matrix, moved.vector, moved.constant
 
-
-def _line_weights(
-    quadric: Quadric, variance: Float[Array, ""], points: Float[Array, "n 3"]
-) -> list[Float[Array, " n"]]:
-    """(-v)^m / m! (d/dL)^m g at every point for m = 0 to 4, or for 0 alone where L is constant.
-
-    g = 1 / 4 (L^2 + l^2) is the imaginary part of 1 / (L - i l), over 4 l; a + i l b are the powers of that quotient.
-    """
-    if quadric.slope is None:
-        return [jnp.broadcast_to(safe.divide(jnp.full_like(variance, 0.25), quadric.height**2), points.shape[:1])]
-    line = jnp.matmul(points, quadric.slope, precision=HIGHEST) + quadric.height
-    sq_smoothness = SMOOTHNESS**2 * variance * jnp.sum(quadric.slope**2)
-    size = line * line + sq_smoothness + jnp.finfo(points.dtype).eps
-    a, b = line / size, 1 / size
-    weights = [b / 4]
-    for _ in range(4):
-        a, b = (a * line - sq_smoothness * b) / size, (a + b * line) / size
-        weights.append(variance ** len(weights) * b / 4)
-    return weights
+    matrix, vector, constant = jax.jacfwd(polynomial)(jnp.zeros(module.NUM_FREEDOM, variance.dtype))
+    x, y, z = points.T
+    one = jnp.ones_like(x)
+    squares = jnp.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z, one], axis=1)
+    row, column = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+    constant = constant - variance * jnp.trace(matrix)
+    moved = jnp.concatenate([matrix[row, column], vector, constant[None]])
+    total = jnp.matmul(jnp.matmul(values, squares, precision=HIGHEST), moved, precision=HIGHEST)
+    for direction, derivative in zip(module.quadric(primitive).frame, first, strict=True):
+        linear = 2 * jnp.einsum("c,cdp->dp", direction, matrix, precision=HIGHEST)
+        level = jnp.matmul(direction, vector, precision=HIGHEST)
+        sums = jnp.matmul(derivative, squares[:, 6:], precision=HIGHEST)
+        slope = jnp.matmul(sums, jnp.concatenate([linear, level[None]]), precision=HIGHEST)
+        total = total - variance * slope
+    return total
 
 
 def _mean_square(primitive: Primitive, standard: Standard) -> Float[Array, ""]:
@@ -187,20 +228,24 @@ def _mean_square(primitive: Primitive, standard: Standard) -> Float[Array, ""]:
 
 
 def _inverse(jacobian: Float[Array, "q q"]) -> tuple[Float[Array, "q q"], Bool[Array, ""]]:
-    """The inverse by singular values, at unit scale of the unknowns; those that rounding alone could leave are cut."""
-    scale = safe.sqrt(jnp.abs(jnp.diagonal(jacobian)))
-    shrink = jnp.where(scale > 0, 1 / jnp.where(scale > 0, scale, 1), 0)
-    scaled = shrink[:, None] * jacobian * shrink[None, :]
-    finite = jnp.all(jnp.isfinite(scaled))
-    left, values, right = jnp.linalg.svd(jnp.where(finite, scaled, jnp.eye(len(scaled), dtype=scaled.dtype)))
+    """The inverse by singular values at unit scale of rows and columns, those cut that rounding alone could leave."""
+    finite = jnp.all(jnp.isfinite(jacobian))
+    jacobian = jnp.where(finite, jacobian, jnp.eye(len(jacobian), dtype=jacobian.dtype))
+    rows = _reciprocal(jnp.max(jnp.abs(jacobian), axis=1))
+    columns = _reciprocal(jnp.max(jnp.abs(rows[:, None] * jacobian), axis=0))
+    left, values, right = jnp.linalg.svd(rows[:, None] * jacobian * columns[None, :])
     least = 100 * jnp.finfo(values.dtype).eps * values[0]
     inverse = jnp.matmul(right.T / jnp.maximum(values, least)[None, :], left.T, precision=HIGHEST)
-    return shrink[:, None] * inverse * shrink[None, :], finite & (values[-1] > least)
+    return columns[:, None] * inverse * rows[None, :], finite & (values[-1] > least)
 
 
 def _propagated(inverse: Float[Array, "q q"], equations: _Equations) -> Float[Array, "q q"]:
     half = jnp.matmul(inverse, equations.covariance, precision=HIGHEST)
     return jnp.matmul(half, inverse.T, precision=HIGHEST)
+
+
+def _reciprocal(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    return safe.divide(jnp.ones_like(x), x)
 
 
 def _localised(primitive: Primitive, standard: Standard) -> Primitive:

@@ -10,9 +10,9 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, eigen_smallest, frame_of, moments, orientation
-from jprimfit.primitives.common import direction_determined, standardise, steer
-from jprimfit.primitives.quadrics import Quadric, polynomial
-from jprimfit.types import Discrepancy, Fit, Plane
+from jprimfit.primitives.common import direction_determined, frame_coordinates, standardise, steer
+from jprimfit.primitives.quadrics import Quadric
+from jprimfit.types import Discrepancy, Fit, Instruments, Plane
 
 KIND = "plane"
 NUM_FREEDOM = 3
@@ -94,8 +94,14 @@ def canonical(primitive: Plane, anchor: Float[Array, "3"]) -> Plane:
 def quadric(primitive: Plane) -> Quadric:
     """normal·x - offset."""
     normal = primitive.normal
-    terms = polynomial(jnp.zeros((3, 3), normal.dtype), normal, -primitive.offset)
-    return Quadric(terms, jnp.full_like(primitive.offset, 0.5))
+    return Quadric(frame_of(normal), jnp.zeros_like(normal), normal, -primitive.offset)
+
+
+def instruments(primitive: Plane, points: Float[Array, "n 3"], variance: Float[Array, ""]) -> Instruments:
+    """What distances say of the tilts and the offset: the coordinates in the plane, and 1."""
+    x, y, _ = frame_coordinates(points, frame_of(primitive.normal))
+    one = jnp.ones_like(x)
+    return Instruments((x, y, one), one)
 
 
 def sound(primitive: Plane, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:

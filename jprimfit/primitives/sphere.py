@@ -10,9 +10,9 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, weighted_mean
-from jprimfit.primitives.common import fit_round, standardise
-from jprimfit.primitives.quadrics import Quadric, polynomial
-from jprimfit.types import Discrepancy, Fit, Sphere
+from jprimfit.primitives.common import blurred_reciprocal, fit_round, frame_coordinates, standardise
+from jprimfit.primitives.quadrics import Quadric
+from jprimfit.types import Discrepancy, Fit, Instruments, Sphere
 
 KIND = "sphere"
 NUM_FREEDOM = 4
@@ -86,10 +86,19 @@ def canonical(primitive: Sphere, anchor: Float[Array, "3"]) -> Sphere:
 
 
 def quadric(primitive: Sphere) -> Quadric:
-    """|x - center|^2 - radius^2, with a gradient of length 2 radius."""
+    """|x - center|^2 - radius^2."""
     center, radius = primitive
-    terms = polynomial(jnp.eye(3, dtype=center.dtype), -2 * center, jnp.sum(center * center) - radius * radius)
-    return Quadric(terms, radius)
+    return Quadric(
+        jnp.eye(3, dtype=center.dtype), jnp.ones_like(center), -2 * center, jnp.sum(center * center) - radius * radius
+    )
+
+
+def instruments(primitive: Sphere, points: Float[Array, "n 3"], variance: Float[Array, ""]) -> Instruments:
+    """What distances say of center and radius: the direction from the center, and 1."""
+    offset = frame_coordinates(points - primitive.center[None, :], jnp.eye(3, dtype=points.dtype))
+    scale = jnp.broadcast_to(safe.divide(jnp.ones_like(primitive.radius), 2 * primitive.radius), points.shape[:1])
+    shrink = scale * blurred_reciprocal(offset, variance)
+    return Instruments((*(shrink * coordinate for coordinate in offset), scale), scale)
 
 
 def sound(primitive: Sphere, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Bool[Array, ""]:
