@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jprimfit.evaluation.patches import Patch, fields, foot_points
+from jprimfit.evaluation.patches import Patch, foot_points
 from jprimfit.geometry import safe
 from jprimfit.primitives.table import MODULES
 from jprimfit.types import Cylinder, Primitive
@@ -28,9 +28,9 @@ CHUNK = 200  # draws at a time
 def conditional(patch: Patch, sigma: float, num_points: int) -> Float[np.ndarray, "p p"]:
     """Covariance of the step (`retract`) at the true surface, were its expectation the truth."""
     with jax.enable_x64(True):
-        feet = patch.draw(np.random.default_rng(0), NUM_FEET)
-        module = MODULES[patch.truth.kind]
-        jacobian = jax.jit(jax.jacfwd(lambda step: module.signed_distance(module.retract(patch.truth, step), feet)))
+        feet = jnp.asarray(patch.draw(np.random.default_rng(0), NUM_FEET))
+        module, truth = MODULES[patch.truth.kind], jax.tree.map(jnp.asarray, patch.truth)
+        jacobian = jax.jit(jax.jacfwd(lambda step: module.signed_distance(module.retract(truth, step), feet)))
         jacobian = np.asarray(jacobian(jnp.zeros(module.NUM_FREEDOM)))
     return sigma**2 * NUM_FEET / num_points * np.linalg.inv(jacobian.T @ jacobian)
 
@@ -61,17 +61,17 @@ def full_density(patch: Patch, sigma: float, num_points: int) -> Float[np.ndarra
 
 def mean_absolute_error(patch: Patch, covariance: Float[np.ndarray, "p p"]) -> float:
     """Expected sum of the absolute errors of the parameters in the paper's tables, were they normal."""
-    truth, module = patch.truth, MODULES[patch.truth.kind]
+    module = MODULES[patch.truth.kind]
 
     def listed(step: Float[Array, " p"]) -> Float[Array, " f"]:
         moved = module.retract(truth, step)
         if isinstance(moved, Cylinder):
-            moved = module.canonical(moved, jnp.asarray(truth.center))
+            moved = module.canonical(moved, truth.center)
         return jnp.concatenate([field.reshape(-1) for field in moved])
 
     with jax.enable_x64(True):
+        truth = jax.tree.map(jnp.asarray, patch.truth)
         derivative = np.asarray(jax.jacfwd(listed)(jnp.zeros(module.NUM_FREEDOM)))
-    assert len(derivative) == len(fields(truth, truth))
     spread = np.sqrt(np.maximum(np.diag(derivative @ covariance @ derivative.T), 0.0))
     return float(math.sqrt(2.0 / math.pi) * spread.sum())
 

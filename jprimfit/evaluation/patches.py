@@ -64,7 +64,7 @@ QUARTERS = (
 )
 
 
-def foot_points(primitive: Primitive, edges, square, xp=jnp, frame=None) -> Float[Array, "n 3"]:
+def foot_points(primitive: Primitive, edges, square, xp=jnp, frame=None) -> Float[Any, "n 3"]:
     """The points of a surface at places in the unit square, of even density by area; xp is NumPy or JAX's.
 
     frame: rows are two directions across the axis (or in the plane) and the axis; those of the known surfaces if None.
@@ -89,7 +89,7 @@ def foot_points(primitive: Primitive, edges, square, xp=jnp, frame=None) -> Floa
         local = [radius * xp.cos(second), radius * xp.sin(second), height]
     local = xp.stack(local, axis=1)
     turned = local @ frame if xp is np else jnp.matmul(local, frame, precision=HIGHEST)
-    return base + turned
+    return base[None, :] + turned
 
 
 def fields(primitive: Primitive, truth: Primitive) -> Float[np.ndarray, " f"]:
@@ -110,7 +110,8 @@ def steps_between(truth: Primitive, found: Primitive, anchor: Float[np.ndarray, 
 
 def _centred(primitive: Primitive, anchor: Float[np.ndarray, "3"]) -> Primitive:
     module = MODULES[primitive.kind]
-    return jax.tree.map(np.asarray, module.canonical(kinds.move(primitive, -anchor, 1.0), np.zeros(3)))
+    local = jax.tree.map(jnp.asarray, kinds.move(primitive, -anchor, 1.0))
+    return module.canonical(local, jnp.zeros(3))
 
 
 @jax.jit

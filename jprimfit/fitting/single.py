@@ -112,7 +112,7 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
         solved = _on_padded(_estimate, start, given)
     if kind == "cone" and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
         cone = _as_float64(solved.primitive)
-        likely = full_cone.fit(cone, np.asarray(frame_of(cone.axis)), float(solved.sigma), given.local)
+        likely = full_cone.fit(cone, np.asarray(frame_of(jnp.asarray(cone.axis))), float(solved.sigma), given.local)
         if likely:
             steps = solved.num_iterations
             return _answer(likely.cone, given, True, likely.sigma, likely.covariance, steps, "likelihood")
@@ -178,8 +178,8 @@ def standard_errors(primitive: Primitive, info: Info) -> dict[str, float]:
 def _apex_error(cone: Cone, info: Info) -> float:
     if not np.all(np.isfinite(info.covariance)):
         return float("inf")
-    local = kinds.move(cone, -info.anchor, 1.0)
     with jax.enable_x64(True):
+        local = jax.tree.map(jnp.asarray, kinds.move(cone, -info.anchor, 1.0))
         moved = jax.jacfwd(lambda step: MODULES["cone"].retract(local, step).apex)(jnp.zeros(6))
     return float(np.sqrt(max(np.trace(np.asarray(moved) @ info.covariance @ np.asarray(moved).T), 0.0)))
 

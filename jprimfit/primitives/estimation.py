@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jprimfit.geometry import safe
-from jprimfit.geometry.linalg import HIGHEST
+from jprimfit.geometry.linalg import HIGHEST, weighted_mean
 from jprimfit.primitives.common import Standard, standardise
 from jprimfit.primitives.table import of
 from jprimfit.types import Primitive
@@ -67,10 +67,9 @@ def estimate(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array
     module, standard = of(start), standardise(points, weights)
     fixed = jax.lax.stop_gradient(standard)
     state = _solve(jax.lax.stop_gradient(_localised(start, fixed)), fixed)
-    residual = _equations(state.primitive, state.variance, standard)
-    equations = jax.lax.stop_gradient(residual)
+    equations = _equations(state.primitive, state.variance, fixed)
     inverse, regular = _inverse(equations.jacobian)
-    change = -jnp.matmul(inverse, residual.value - equations.value, precision=HIGHEST)
+    change = _at_rest(state.primitive, state.variance, standard)
     solved = module.retract(state.primitive, change[:-1])
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves((solved, inverse))]))
     freedom = fixed.count - module.NUM_FREEDOM - 1
@@ -78,10 +77,30 @@ def estimate(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array
     covariance = _propagated(inverse, equations)[:-1, :-1] * safe.divide(fixed.count, jnp.maximum(freedom, 1))
     units = fixed.scale ** jnp.asarray(module.STEP_UNITS, points.dtype)
     covariance = jnp.where(jnp.isfinite(covariance), units[:, None] * covariance * units[None, :], 0)
-    found = _globalised(solved, fixed)
+    found = _globalised(module.canonical(solved, weighted_mean(standard.local, standard.weights)), fixed)
     primitive = jax.tree.map(lambda new, old: jnp.where(ok, new, old), found, jax.lax.stop_gradient(start))
     sigma = fixed.scale * safe.sqrt(state.variance + change[-1])
     return Estimate(primitive, ok, sigma, covariance, state.iteration)
+
+
+@jax.custom_jvp
+def _at_rest(primitive: Primitive, variance: Float[Array, ""], standard: Standard) -> Float[Array, " q"]:
+    """The step 0 from a solution; it follows the points and weights as the solution does."""
+    return jnp.zeros(of(primitive).NUM_FREEDOM + 1, variance.dtype)
+
+
+@_at_rest.defjvp
+def _at_rest_jvp(primals, tangents):
+    primitive, variance, standard = primals
+
+    def value(unknown: Float[Array, " q"], standard: Standard) -> Float[Array, " q"]:
+        moved = of(primitive).retract(primitive, unknown[:-1])
+        return _equations(moved, variance + unknown[-1], standard).value
+
+    at = _at_rest(primitive, variance, standard)
+    inverse, _ = _inverse(jax.jacfwd(value)(at, standard))
+    _, change = jax.jvp(lambda standard: value(at, standard), (standard,), (tangents[2],))
+    return at, -jnp.matmul(inverse, change, precision=HIGHEST)
 
 
 def _solve(start: Primitive, standard: Standard) -> _State:
@@ -112,6 +131,9 @@ def _iterate(first: _State, standard: Standard) -> _State:
         length = jnp.max(jnp.abs(change[:-1]))
         # Of a step that is small against the segment the next one is the square.
         moved = jnp.max(jnp.abs(change[:-1]) / errors[:-1]) * jnp.minimum(1, 3 * length)
+        # Of noise that was only distance from the solution the standard errors are too large.
+        exact = (1e3 * jnp.finfo(change.dtype).eps) ** 2
+        moved = jnp.where(jnp.abs(change[-1]) <= 0.1 * state.variance + exact, moved, jnp.inf)
         change = change * jnp.minimum(1, safe.divide(jnp.full_like(length, MAX_STEP), length))
         primitive = module.canonical(module.retract(state.primitive, change[:-1]), origin)
         variance = jnp.clip(state.variance + change[-1], 0, MAX_GROWTH * first.variance)
@@ -157,8 +179,8 @@ def _summed(
 
     values, first, second = _derivatives(instruments, points, quadric.frame)
     # d/dv of f(X) k, and f(X) k itself; q n.
-    curved = sum(curvature * derivative for curvature, derivative in zip(quadric.curvature, second, strict=True))
-    along = sum(slope[None, :] * derivative for slope, derivative in zip(gradient, first, strict=True))
+    curved = jnp.sum(quadric.curvature[:, None, None] * second, axis=0)
+    along = jnp.sum(gradient[:, None, :] * first, axis=0)
     by_variance = 2 * variance * curved - jnp.sum(quadric.curvature) * values - along
     equations = surface[None, :] * values + variance * (by_variance - variance * curved)
     # Points lie nearer to the surface fitted to them than to the true one, by p of n degrees of freedom.
@@ -166,7 +188,9 @@ def _summed(
     equations, by_variance = equations.at[-1].add(used * variance), by_variance.at[-1].add(used)
 
     weighted = weights[None, :] * equations
-    by_step = _by_step(module, primitive, variance, points, weights[None, :] * values, [weights * d for d in first])
+    by_step = _by_step(
+        module, primitive, variance, points, weights[None, :] * values, [weights[None, :] * d for d in first]
+    )
     return _Equations(
         jnp.sum(weighted, axis=1),
         jnp.column_stack([by_step, jnp.matmul(by_variance, weights, precision=HIGHEST)]),
@@ -186,8 +210,7 @@ def _derivatives(function, points: Float[Array, "n 3"], frame: Float[Array, "3 3
         (values, slope), (_, curvature) = jax.jvp(first, (points,), (tangent,))
         return values, slope, curvature
 
-    found = [along(row) for row in frame]
-    return found[0][0], [slope for _, slope, _ in found], [curvature for *_, curvature in found]
+    return jax.vmap(along, out_axes=(None, 0, 0))(frame)
 
 
 def _along_frame(frame, matrix, vector, points: Float[Array, "n 3"]) -> Float[Array, "3 n"]:

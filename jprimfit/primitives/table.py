@@ -1,7 +1,8 @@
 """The four kinds in the order of their type ids, and what asks a primitive of any kind.
 
-Every module of the table offers the same names: KIND, NUM_FREEDOM, fit, signed_distance, distance, normal, project,
-sample, transform, discrepancy, retract, canonical. A further kind is one file and one row here. The kind of a primitive
+Every module of the table offers the same names: KIND, NUM_FREEDOM, STEP_UNITS, fit, signed_distance, distance, normal,
+project, sample, transform, discrepancy, retract, canonical, and quadric, instruments, sound for the estimate that noise
+does not bias (`estimation`). A further kind is one file and one row here. The kind of a primitive
 is part of its type, so the dispatch happens while tracing and costs nothing in compiled code.
 """
 

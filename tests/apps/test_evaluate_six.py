@@ -149,7 +149,7 @@ def test_the_test_set_needs_what_builds_solids(monkeypatch, tmp_path, capsys):
         (["--compare"], "--method geometry takes no network"),
         (["--method", "ransac"], "--method ransac is not built yet"),
         (["--method", "magic"], "--method 'magic' is none"),
-        (["--table", "1"], "--table is not built yet"),
+        (["--table", "1"], "--table 1 is not built yet"),
         (["--protocol", "fit4cad", "--data", "absent.h5"], "absent.h5"),
     ],
 )

@@ -16,7 +16,8 @@ from jprimfit.types import Cone, Cylinder, Plane, Sphere
 NUM_POINTS = 64
 EXTENT = 1.5
 PROTOCOL = (
-    "KIND NUM_FREEDOM fit signed_distance distance normal project sample transform discrepancy retract canonical"
+    "KIND NUM_FREEDOM STEP_UNITS fit signed_distance distance normal project sample transform discrepancy retract "
+    "canonical quadric instruments sound"
 ).split()
 
 each_kind = pytest.mark.parametrize("kind", table.KINDS)
