@@ -55,14 +55,17 @@ def test_noise_is_known_and_the_error_within_it(kind):
     assert all(0 < value < 1 for value in errors.values())
 
 
-def test_least_squares_is_biased_where_the_estimate_is_not():
+def test_least_squares_is_biased_by_the_known_law_and_the_estimate_is_not():
     radii = {"unbiased": [], "least-squares": []}
     for seed in range(20):
-        points = drawn("sphere", sigma=0.1, seed=seed, num_points=2000)
+        rng = np.random.default_rng(seed)
+        clean = patches.WHOLE[1].draw(rng, 2000)
+        points = clean + 0.6 * rng.normal(size=clean.shape)
         for method, found in radii.items():
             found.append(float(jprimfit.fit_primitive("sphere", points, method=method)[0].radius))
-    bias = {method: (np.mean(found) - 6) / np.std(found) * np.sqrt(20) for method, found in radii.items()}
-    assert abs(bias["unbiased"]) < 4 < abs(bias["least-squares"])
+    error = np.std(radii["unbiased"]) / np.sqrt(20)
+    assert np.mean(radii["unbiased"]) == pytest.approx(6, abs=4 * error)
+    assert np.mean(radii["least-squares"]) == pytest.approx(6 + 0.6**2 / 6, abs=4 * error)
 
 
 @each_kind
