@@ -71,21 +71,19 @@ def foot_points(primitive: Primitive, edges, square, xp=jnp, frame=None) -> Floa
     """
     a0, a1, b0, b1 = edges
     first, second = square[:, 0], b0 + (b1 - b0) * square[:, 1]
-    if primitive.kind == "plane":
+    if isinstance(primitive, Plane):
         frame = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]) if frame is None else frame
-        local = [a0 + (a1 - a0) * first, second, xp.zeros_like(first) + primitive.offset]
-        base = xp.zeros(3)
+        local, base = [a0 + (a1 - a0) * first, second, xp.zeros_like(first) + primitive.offset], xp.zeros(3)
     else:
         frame = np.eye(3) if frame is None else frame
-        if primitive.kind == "sphere":  # equal heights have equal areas
-            level = a0 + (a1 - a0) * first
+        if isinstance(primitive, Sphere):  # equal heights have equal areas
+            level, base = a0 + (a1 - a0) * first, primitive.center
             radius, height = primitive.radius * xp.sqrt(1.0 - level**2), primitive.radius * level
-            base = primitive.center
-        elif primitive.kind == "cylinder":
+        elif isinstance(primitive, Cylinder):
             radius, height, base = primitive.radius, a0 + (a1 - a0) * first, primitive.center
         else:
-            height = xp.sqrt(a0**2 + (a1**2 - a0**2) * first)
-            radius, base = height * xp.tan(primitive.half_angle), primitive.apex
+            height, base = xp.sqrt(a0**2 + (a1**2 - a0**2) * first), primitive.apex
+            radius = height * xp.tan(primitive.half_angle)
         local = [radius * xp.cos(second), radius * xp.sin(second), height]
     local = xp.stack(local, axis=1)
     turned = local @ frame if xp is np else jnp.matmul(local, frame, precision=HIGHEST)
@@ -95,7 +93,7 @@ def foot_points(primitive: Primitive, edges, square, xp=jnp, frame=None) -> Floa
 def fields(primitive: Primitive, truth: Primitive) -> Float[np.ndarray, " f"]:
     """The parameters that the paper's tables list, in order; of a cylinder the axis point nearest the true center."""
     values = [np.asarray(field, np.float64).reshape(-1) for field in primitive]
-    if primitive.kind == "cylinder":
+    if isinstance(truth, Cylinder):
         axis, center, radius = values
         values = [axis, center + axis * (axis @ (np.asarray(truth.center) - center)), radius]
     return np.concatenate(values)

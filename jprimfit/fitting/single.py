@@ -93,7 +93,9 @@ def fit_primitive(
 def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primitive, Info] | None:
     """The answer at unit scale; None where not even a start was found."""
     start = _start(kind, given)
-    for _ in range(ROUNDS if robust and start else 0):
+    for _ in range(ROUNDS if robust else 0):
+        if start is None:
+            break
         chosen = _near(start, given)
         given = given._replace(weights=chosen)
         start = _start(kind, given, start)
@@ -110,8 +112,8 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
     if kind != "plane" and not (bool(solved.ok) and _is_plain(solved, given)):
         start = _of_several(kind, start, given)
         solved = _on_padded(_estimate, start, given)
-    if kind == "cone" and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
-        cone = _as_float64(solved.primitive)
+    cone = _as_float64(solved.primitive)
+    if isinstance(cone, Cone) and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
         likely = full_cone.fit(cone, np.asarray(frame_of(jnp.asarray(cone.axis))), float(solved.sigma), given.local)
         if likely:
             steps = solved.num_iterations
@@ -161,16 +163,16 @@ def standard_errors(primitive: Primitive, info: Info) -> dict[str, float]:
     Keys: "direction" (radians, of normal or axis), "offset", "position" (of the center, across the axis for a
     cylinder; of a cone's apex), "radius", "half_angle", in the unit of the points.
     """
-    kind, covariance = primitive.kind, info.covariance
+    covariance = info.covariance
 
     def spread(*which: int) -> float:
         return float(np.sqrt(max(sum(covariance[i, i] for i in which), 0.0)))
 
-    if kind == "plane":
+    if isinstance(primitive, Plane):
         return {"direction": spread(0, 1), "offset": spread(2)}
-    if kind == "sphere":
+    if isinstance(primitive, Sphere):
         return {"position": spread(0, 1, 2), "radius": spread(3)}
-    if kind == "cylinder":
+    if isinstance(primitive, Cylinder):
         return {"direction": spread(0, 1), "position": spread(2, 3), "radius": spread(4)}
     return {"direction": spread(0, 1), "position": _apex_error(primitive, info), "half_angle": spread(5)}
 
@@ -226,7 +228,7 @@ def _start(kind: str, given: Segment, start: Primitive | None = None) -> Primiti
 def _is_plain(solved: Estimate, given: Segment) -> bool:
     """Whether there can be no other solution: little noise, or a surface seen from all sides that is no blob of it."""
     primitive, sigma = _as_float64(solved.primitive), float(solved.sigma)
-    if sigma < NOISY:
+    if sigma < NOISY or isinstance(primitive, Plane):
         return True
     if isinstance(primitive, Sphere):
         offset = given.local - primitive.center

@@ -66,6 +66,7 @@ def test_errors_are_distributed_as_the_covariance_says(x64, kind):
     assert stats.kstest(found, stats.chi2(degrees).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow  # compiles for minutes
 @each_kind
 def test_derivatives_are_those_of_the_solution(x64, kind, monkeypatch):
     monkeypatch.setattr(estimation, "CONVERGED", 1e-8)  # finite differences see what iterations leave
@@ -92,6 +93,7 @@ def test_one_precision_agrees_with_the_other(x64, kind):
     np.testing.assert_allclose(rounded.sigma, exact.sigma, rtol=1e-3)
 
 
+@pytest.mark.slow  # compiles for minutes
 @each_kind
 def test_slots_under_vmap_are_those_of_single_calls(kind):
     truth, points, weights = (jax.tree.map(lambda field: field.astype(jnp.float32), x) for x in drawn(kind, sigma=0.02))
