@@ -31,11 +31,12 @@ REACH = 6.5  # standard deviations from the slant of a point beyond which nodes 
 
 
 class FullCone(NamedTuple):
-    """The most likely cone, its noise, and its covariance in the coordinates of Cone.retract about the origin."""
+    """The most likely cone, its noise, and its covariance in the coordinates of Cone.retract, but for the frame."""
 
     cone: Cone
     sigma: float
     covariance: Float[np.ndarray, "6 6"]
+    frame: Float[np.ndarray, "3 3"]  # rows u, v, axis: the covariance's tilts and shifts are along u and v
 
 
 class _Model(NamedTuple):
@@ -52,7 +53,7 @@ def fit(
 ) -> FullCone | None:
     """The most likely cone near an unbiased start; None where the points do not cover its nappe evenly, or need not.
 
-    frame: linalg.frame_of(start.axis), whose first two rows are the directions of the covariance's tilts and shifts.
+    frame: rows are two directions across the start's axis, and it.
     """
     model = _first_model(start, frame, sigma, points)
     if model is None or len(points) < MIN_POINTS or _num_nodes(model) > MAX_NODES or not _is_round(model, points):
@@ -66,7 +67,7 @@ def fit(
         return None
     model, covariance = solved
     cone = Cone(model.frame[2], model.anchor - model.height * model.frame[2], np.float64(model.half_angle))
-    return FullCone(cone, model.sigma, covariance)
+    return FullCone(cone, model.sigma, covariance, model.frame)
 
 
 def _scored(model: _Model, points, *, max_iterations: int) -> tuple[_Model, Float[np.ndarray, "6 6"]] | None:

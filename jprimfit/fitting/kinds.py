@@ -158,10 +158,10 @@ def _polish(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]
     return _descend(start, points, weights)
 
 
-def _descend(
-    start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]
-) -> tuple[Any, Float[Array, ""], Bool[Array, ""]]:
-    """Levenberg-Marquardt on the signed distances, and the gauge of the kind (center nearest the mean, which is 0)."""
+def descend(
+    start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"], *, num_steps: int
+) -> tuple[Any, least_squares.Solution, Bool[Array, ""]]:
+    """Levenberg-Marquardt on the signed distances; the primitive in its gauge about the origin, and if it is finite."""
     module = of(start)
     solution = least_squares.minimise(
         lambda primitive: module.signed_distance(primitive, points),
@@ -169,9 +169,16 @@ def _descend(
         weights,
         retract_fn=module.retract,
         num_freedom=module.NUM_FREEDOM,
-        num_steps=NUM_STEPS[module.KIND],
+        num_steps=num_steps,
     )
     primitive = module.canonical(solution.state, jnp.zeros(3, points.dtype))
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(field)) for field in primitive]))
+    return primitive, solution, finite & jnp.isfinite(solution.cost)
+
+
+def _descend(
+    start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]
+) -> tuple[Any, Float[Array, ""], Bool[Array, ""]]:
+    primitive, solution, finite = descend(start, points, weights, num_steps=NUM_STEPS[start.kind])
     rms = jnp.sqrt(2.0 * solution.cost / jnp.sum(weights))
     return primitive, rms, finite & jnp.isfinite(rms)

@@ -116,11 +116,19 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
     if isinstance(cone, Cone) and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
         likely = full_cone.fit(cone, np.asarray(frame_of(jnp.asarray(cone.axis))), float(solved.sigma), given.local)
         if likely:
-            steps = solved.num_iterations
-            return _answer(likely.cone, given, True, likely.sigma, likely.covariance, steps, "likelihood")
+            steps, covariance = solved.num_iterations, _in_own_frame(likely)
+            return _answer(likely.cone, given, True, likely.sigma, covariance, steps, "likelihood")
     return _answer(
         solved.primitive, given, solved.ok, solved.sigma, solved.covariance, solved.num_iterations, "unbiased"
     )
+
+
+def _in_own_frame(likely: full_cone.FullCone) -> Float[np.ndarray, "6 6"]:
+    """The covariance with tilts and shifts along linalg.frame_of(axis), which may be far from the frame it came in."""
+    across = np.asarray(frame_of(jnp.asarray(likely.cone.axis)))[:2] @ likely.frame[:2].T
+    turn = np.eye(6)
+    turn[:2, :2] = turn[2:4, 2:4] = across
+    return turn @ likely.covariance @ turn.T
 
 
 def _answer(

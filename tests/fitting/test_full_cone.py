@@ -7,8 +7,9 @@ from scipy import special
 
 import jprimfit
 from jprimfit.evaluation import patches
-from jprimfit.fitting import full_cone
+from jprimfit.fitting import full_cone, single
 from jprimfit.geometry.linalg import frame_of
+from jprimfit.types import Cone
 
 CONE = patches.WHOLE[3]
 
@@ -54,6 +55,17 @@ def test_it_is_used_for_an_even_cone_and_only_there():
     # Seen from one side, or twice as densely on one half: the density is not what the likelihood takes it for.
     assert errors(points[clean[:, 0] > 0])[0] == "unbiased"
     assert errors(np.concatenate([points, points[clean[:, 2] > 4]]))[0] == "unbiased"
+
+
+def test_its_covariance_follows_the_frame_of_the_answer():
+    # The frame of an axis near z jumps with its small components: tilts must be told along that of the answer.
+    covariance = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    axis = np.array([1e-3, 2e-3, 1.0]) / np.linalg.norm([1e-3, 2e-3, 1.0])
+    with jax.enable_x64(True):
+        own = np.asarray(frame_of(jax.numpy.asarray(axis)))
+        turned = np.stack([own[1], -own[0], own[2]])
+        likely = full_cone.FullCone(Cone(axis, -axis, np.float64(0.5)), 1.0, covariance, turned)
+        np.testing.assert_allclose(np.diag(single._in_own_frame(likely)), [2, 1, 4, 3, 5, 6], atol=1e-12)
 
 
 def test_its_covariance_is_that_of_the_errors():
