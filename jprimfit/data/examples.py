@@ -17,8 +17,17 @@ class Example(NamedTuple):
 
     points: Float[Any, "n 3"]  # float32, with noise
     mask: Bool[Any, "n"]  # False = padding, a copy of the first point
-    local_normals: Float[Any, "n g 3"]  # float32, unit, PCA normals at g neighbourhood sizes, of either sign
+    local_normals: Float[Any, "n g 3"]  # float32, unit, of PCA at g sizes or filtered, of either sign
     curvature: Float[Any, "n g"]  # float32, the surface variation of the same neighbourhoods, in [0, 1/3]
     sets: IndexSets  # of the points
     query: Int[Any, "q"]  # int32, rows of points at which the network is asked; arange(n) where at all
     truth: Truth  # at the queries: row j of its per-point fields belongs to points[query[j]]
+
+
+class Scan(NamedTuple):
+    """A cloud without what needs a search: training/inputs.py searches on the device. Fields as in Example."""
+
+    points: Float[Any, "n 3"]
+    mask: Bool[Any, "n"]
+    query: Int[Any, "q"]
+    truth: Truth

@@ -27,8 +27,22 @@ def make_part(solid: Solid, *, min_share: float, name: str, **fields) -> Part | 
     body = evaluate(solid)
     if not len(body.faces) or _volume(body) <= 0 or not _is_one_piece(body):
         return None
+    return part_of_body(body, min_share=min_share, name=name, **fields)
+
+
+def part_of_body(
+    body: Body, *, min_share: float, name: str, exact_areas: Float[np.ndarray, "s"] | None = None, **fields
+) -> Part | None:
+    """The same for a triangulation, of whatever number of pieces; None where no instance is left.
+
+    exact_areas: of the surfaces of the body, in its unit; each is shared out among the triangles of its surface, whose
+    own areas fall short where it is curved.
+    """
     corners = body.vertices[body.faces]
     areas = np.sqrt(np.sum(doubled_areas(corners) ** 2, axis=1)) / 2
+    if exact_areas is not None:
+        flat = np.bincount(body.surface_index, weights=areas, minlength=len(body.surfaces))
+        areas = areas * (exact_areas / np.where(flat > 0, flat, 1.0))[body.surface_index]
     center = areas @ np.mean(corners, axis=1) / np.sum(areas)
     scale = float(np.max(np.ptp(body.vertices, axis=0))) / 2
     body = body._replace(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jprimfit.data.clouds import LoaderConfig, random_rotation
+from jprimfit.data.clouds import LoaderConfig, choose_queries, random_rotation
 from jprimfit.data.examples import Example
 from jprimfit.data.pool import SPANS, STEPS, open_pool
 from jprimfit.data.records import BACKGROUND
@@ -55,36 +55,39 @@ class Loader:
         self.pool = open_pool(config, spec=spec, neighborhoods=neighborhoods, progress=progress)
         self._order: tuple[int, np.ndarray] = (-1, np.zeros(0, np.int64))
 
+    @property
+    def num_clouds(self) -> int:
+        """Clouds of an epoch."""
+        return len(self.pool)
+
+    @property
+    def num_left_out(self) -> int:
+        """Parts of the split with no instance, or too many."""
+        return self.pool.num_left_out
+
+    def close(self) -> None:
+        """Nothing is left to close; a Stream has processes."""
+
     def batch(self, step: int, batch_size: int, *, shard: tuple[int, int] = (0, 1)) -> Example:
         """The examples of one step: shard (i, k) gives the i-th of k equal runs of rows of the global batch.
 
         ValueError where k does not divide batch_size or i is not in [0, k).
         """
-        place, count = shard
-        if batch_size < 1 or not 0 <= place < count or batch_size % count:
-            raise ValueError(
-                f"Cannot give part {place} of {count} of a batch of {batch_size}; the batch size must be a "
-                "multiple of the number of parts."
-            )
-        size = batch_size // count
-        first = step * batch_size + place * size
-        numbers = range(first, first + size)
+        numbers = example_numbers(step, batch_size, shard=shard)
+        size = len(numbers)
         clouds = np.array([self.cloud_of(number) for number in numbers])
         rotations, queries = np.empty((size, 3, 3), np.float32), []
         for row, number in enumerate(numbers):
             generator = np.random.default_rng([self.seed, _EXAMPLE, number])
             rotations[row] = random_rotation(generator) if self.config.rotate else np.eye(3)
-            queries.append(self._queries(generator, int(self.pool.arrays["num_valid"][clouds[row]])))
+            valid = int(self.pool.arrays["num_valid"][clouds[row]])
+            queries.append(choose_queries(generator, valid, config=self.config))
         return self._assemble(clouds, rotations, np.stack(queries))
 
     def cloud_of(self, number: int) -> int:
         """The cloud of the pool that example `number` of the training shows."""
-        epoch, place = divmod(number, len(self.pool))
-        known, order = self._order
-        if known != epoch:
-            order = np.random.default_rng([self.seed, _ORDER, epoch]).permutation(len(self.pool))
-            self._order = (epoch, order)
-        return int(order[place])
+        self._order, cloud = numbered_cloud(self._order, number, num_clouds=self.num_clouds, seed=self.seed)
+        return cloud
 
     def validation(self, batch_size: int, *, num_clouds: int | None = None) -> Iterator[ValidationBatch]:
         """The first num_clouds clouds of the pool (None = all) in order, without any further draw: always the same."""
@@ -96,15 +99,6 @@ class Loader:
             num_points = self.pool.arrays["points"].shape[1]
             queries = np.broadcast_to(np.arange(num_points, dtype=np.int32)[None], (batch_size, num_points))
             yield ValidationBatch(self._assemble(clouds, None, queries), mask, self.pool.arrays["part"][clouds])
-
-    def _queries(self, generator: np.random.Generator, num_valid: int) -> Int[np.ndarray, "q"]:
-        """num_query rows without repetition, ascending; padding only where the valid points do not suffice."""
-        num_points, num_query = self.config.num_points, self.config.num_query
-        if num_query in (0, num_points):
-            return np.arange(num_points, dtype=np.int32)
-        chosen = generator.choice(num_valid, min(num_query, num_valid), replace=False, shuffle=False)
-        filling = np.arange(num_valid, num_valid + num_query - len(chosen))
-        return np.concatenate([np.sort(chosen), filling]).astype(np.int32)
 
     def _assemble(
         self, clouds: Int[np.ndarray, "b"], rotations: Float[np.ndarray, "b 3 3"] | None, query: Int[np.ndarray, "b q"]
@@ -157,20 +151,50 @@ class Loader:
         return {name: np.ndarray(shape, dtype, memory, start) for name, (start, shape, dtype) in layout.items()}
 
 
+def example_numbers(step: int, batch_size: int, *, shard: tuple[int, int] = (0, 1)) -> range:
+    """The numbers of the examples of one step: shard (i, k) has the i-th of k equal runs of rows of the global batch.
+
+    ValueError where k does not divide batch_size or i is not in [0, k).
+    """
+    place, count = shard
+    if batch_size < 1 or not 0 <= place < count or batch_size % count:
+        raise ValueError(
+            f"Cannot give part {place} of {count} of a batch of {batch_size}; the batch size must be a "
+            "multiple of the number of parts."
+        )
+    size = batch_size // count
+    first = step * batch_size + place * size
+    return range(first, first + size)
+
+
+def numbered_cloud(
+    known: tuple[int, np.ndarray], number: int, *, num_clouds: int, seed: int
+) -> tuple[tuple[int, np.ndarray], int]:
+    """The cloud that example `number` shows, behind the order of its epoch to be handed in with the next call.
+
+    known: an epoch and its order, (-1, anything) at first.
+    """
+    epoch, place = divmod(number, num_clouds)
+    if known[0] != epoch:
+        known = epoch, np.random.default_rng([seed, _ORDER, epoch]).permutation(num_clouds)
+    return known, int(known[1][place])
+
+
 def prefetch(
-    loader: Loader,
+    loader: Any,
     *,
     first_step: int,
     batch_size: int,
     last_step: int | None = None,
     shard: tuple[int, int] = (0, 1),
     depth: int = 2,
-    place: Callable[[Example], Any] | None = None,
+    place: Callable[[Any], Any] | None = None,
 ) -> Generator[tuple[int, Any]]:
-    """(step, batch) from first_step up to, not including, last_step (None = for ever), made ahead by one thread.
+    """(step, batch) of a Loader or a Stream from first_step up to, not including, last_step (None = for ever).
 
-    At most `depth` batches wait, those in `place` (which puts a batch on the device, in the thread) included. An error
-    in the thread is raised here. Closing the generator, or leaving it to the collector, ends the thread.
+    One thread makes them ahead; at most `depth` batches wait, those in `place` (which puts a batch on the device, in
+    the thread) included. An error in the thread is raised here. Closing the generator, or leaving it to the collector,
+    ends the thread.
     """
     ready: queue.Queue[tuple[int, Any, BaseException | None] | None] = queue.Queue(maxsize=max(depth, 1))
     stopped = threading.Event()

@@ -83,9 +83,10 @@ def write(path: str | os.PathLike, parts: Iterable[Part], *, info: Mapping[str, 
 class Dataset:
     """A dataset file open for reading: len(dataset) parts, dataset[j] reads one; use it in a with statement.
 
-    Opening reads and checks what is small: names, families, units (one per part), splits (name -> parts), instances and
-    areas (part j owns rows starts["instance"][j] to starts["instance"][j + 1]), info (the free attributes). A pickled
-    Dataset, as sent to a worker process, opens its file anew. Every fault is a ValueError of one sentence.
+    Opening reads and checks what is small: names, families, units, background_areas (one per part), splits (name ->
+    parts), instances and areas (part j owns rows starts["instance"][j] to starts["instance"][j + 1]), info (the free
+    attributes). A pickled Dataset, as sent to a worker process, opens its file anew. Every fault is a ValueError of one
+    sentence.
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -170,6 +171,7 @@ class Dataset:
             except UnicodeDecodeError:
                 self._refuse(f"parts/{name} is not UTF-8 text")
         self.names, self.families, self.units = (self._columns[name].tolist() for name in ("name", "family", "unit"))
+        self.background_areas = self._columns["background_area"]
         self.splits = _splits(self.names, self.families, self._columns["split"].tolist(), source=str(self.path))
 
     def _read_starts(self) -> None:

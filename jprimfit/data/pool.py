@@ -12,7 +12,7 @@ import multiprocessing
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,17 +20,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from jprimfit.data.clouds import LoaderConfig, draw_example, usable_parts
+from jprimfit.data.clouds import SCANNING, LoaderConfig, draw_example, usable_parts
 from jprimfit.data.digest import content_hash
 from jprimfit.data.examples import Example
 from jprimfit.data.native import Dataset
 from jprimfit.geometry.hierarchy import HierarchySpec, IndexSets
 
-VERSION = 1  # raised whenever equal settings give other bytes
+VERSION = 2  # raised whenever equal settings give other bytes
 STEPS = 32767
 SPANS = {"local_normals": 1.0, "normals": 1.0, "curvature": 0.5, "samples": 2.5}
 CHUNK = 16  # clouds between two marks
-_FREE = ("file", "num_query", "cache", "workers")  # settings that do not touch the stored clouds
+_FREE = ("file", "num_query", "cache", "workers", "feed")  # settings that do not touch the stored clouds
 
 
 class Pool:
@@ -90,7 +90,10 @@ def open_pool(
 
 def _about(config: LoaderConfig, spec: HierarchySpec, neighborhoods: tuple[int, ...]) -> dict[str, Any]:
     """All that determines the bytes of a pool, for JSON."""
-    settings = {name: value for name, value in asdict(config).items() if name not in _FREE}
+    defaults = {field.name: field.default for field in fields(config)}
+    # What came after the first pools is named where it is used only, so that those keep their digests.
+    unused = {name for name in SCANNING if getattr(config, name) == defaults[name]}
+    settings = {name: value for name, value in asdict(config).items() if name not in unused.union(_FREE)}
     return {
         "version": VERSION,
         "dataset": content_hash(config.file),
@@ -113,6 +116,8 @@ def _build(
     with Dataset(config.file) as dataset:
         parts, num_left_out = usable_parts(dataset, config)
         count = config.num_clouds or len(parts)
+        if count < len(parts):  # some of every family, which stand one after the other
+            parts = parts[np.arange(count) * len(parts) // count]
         partial = folder.with_name(folder.name + ".partial")
         partial.mkdir(parents=True, exist_ok=True)
         # The first cloud tells the types and shapes of all.

@@ -6,8 +6,10 @@ values are texts. Coordinates are kept as they are published (about [-1, 1]), so
 Source: the loaders of SPFN (Li et al. 2019) and CPFN (Le et al. 2021).
 """
 
+import itertools
 import os
 import re
+import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -16,13 +18,14 @@ import numpy as np
 from jprimfit.data import meta
 from jprimfit.data.hdf5 import Source, create
 from jprimfit.data.records import KINDS, MAX_INSTANCES, MAX_ROWS, Cloud, Part, Table, check, unpack
-from jprimfit.types import Primitive
+from jprimfit.types import Plane, Primitive
 
 NUM_SAMPLES = 512
 _POINT = {"plane": "location", "sphere": "location", "cylinder": "location", "cone": "apex"}  # keys of meta
 _SIZE = {"sphere": "radius", "cylinder": "radius", "cone": "semi_angle"}
-_LISTS = "{}_models.csv"
+LISTS = "{}_models.csv"
 _MAX_LIST_BYTES = 16 << 20
+_LAST_PLACES = np.array(sorted(itertools.product(range(-4, 5), repeat=3), key=lambda steps: np.abs(steps).sum()))
 
 
 def read(path: str | os.PathLike) -> Part:
@@ -111,25 +114,35 @@ def read_folder(folder: str | os.PathLike) -> dict[str, tuple[Path, ...]]:
     folder = Path(folder)
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder; give the folder of the h5 files and their csv lists.")
-    lists = sorted(folder.glob(_LISTS.format("*")))
+    lists = sorted(folder.glob(LISTS.format("*")))
     if lists:
-        return {path.name.removesuffix(_LISTS.format("")): read_list(path) for path in lists}
+        return {path.name.removesuffix(LISTS.format("")): read_list(path) for path in lists}
     return {"": tuple(sorted(folder.glob("*.h5")))}
 
 
 def write_folder(folder: str | os.PathLike, parts: Iterable[Part]) -> None:
-    """Writes <name>.h5 of every part, and at the end the list <split>_models.csv of every split, in the order given."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    """Writes <name>.h5 of every part and the list <split>_models.csv of every split, in the order given.
+
+    folder must be new or empty, and appears when all is complete. ValueError, and no folder, as in write and for a
+    name that is no file name.
+    """
+    folder = Path(folder).absolute()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    draft = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
+    draft.mkdir()
     lists: dict[str, list[str]] = {}
-    for part in parts:
-        if not re.fullmatch(r"[^/\\.][^/\\]*", part.name):
-            raise ValueError(f"Part {part.name!r} cannot be written: its name is no file name; rename it.")
-        write(folder / f"{part.name}.h5", part)
-        lists.setdefault(part.split, []).append(f"{part.name}.h5")
-    for split, names in lists.items():
-        if split:
-            (folder / _LISTS.format(split)).write_text("".join(f"{name}\n" for name in names), newline="\n")
+    try:
+        for part in parts:
+            if not re.fullmatch(r"[^/\\.][^/\\]*", part.name):
+                raise ValueError(f"Part {part.name!r} cannot be written: its name is no file name; rename it.")
+            write(draft / f"{part.name}.h5", part)
+            lists.setdefault(part.split, []).append(f"{part.name}.h5")
+        for split, names in lists.items():
+            if split:
+                (draft / LISTS.format(split)).write_text("".join(f"{name}\n" for name in names), newline="\n")
+        os.replace(draft, folder)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _soups(children: Mapping[str, str], *, source: Path) -> list[str]:
@@ -208,7 +221,7 @@ def _values(primitive: Primitive) -> dict[str, str]:
     kind = primitive.kind
     fields = {name: np.asarray(value, np.float64) for name, value in primitive._asdict().items()}
     axis = fields.get("axis", fields.get("normal"))
-    point = fields["normal"] * fields["offset"] if kind == "plane" else fields.get("center", fields.get("apex"))
+    point = _point_on(primitive) if isinstance(primitive, Plane) else fields.get("center", fields.get("apex"))
     values = {"type": kind}
     for name, vector in ((_POINT[kind], point), ("axis", axis)):
         if vector is not None:
@@ -216,3 +229,12 @@ def _values(primitive: Primitive) -> dict[str, str]:
     if kind in _SIZE:
         values[_SIZE[kind]] = repr(float(fields.get("radius", fields.get("half_angle", np.nan))))
     return values
+
+
+def _point_on(plane: Plane) -> np.ndarray:
+    """A point of the plane, so rounded that _row finds the offset exactly."""
+    normal, offset = np.asarray(plane.normal, np.float64), float(plane.offset)
+    near = normal * offset
+    # Neighbours of the foot of the origin, by so many units in the last place of each coordinate.
+    points = near[None] + _LAST_PLACES * np.spacing(near)[None]
+    return points[np.argmin(np.abs(np.sum(points * normal[None], axis=1) - offset))]

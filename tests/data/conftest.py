@@ -1,5 +1,9 @@
 """Random parts in every form of surface that a record can hold, and their comparison."""
 
+import os
+import pickle
+
+import h5py
 import numpy as np
 import pytest
 
@@ -138,6 +142,48 @@ def blocks(tmp_path_factory):
 def make_part():
     """make_part(seed, forms=..., points=..., samples=..., dtype=..., **fields of Part) -> Part."""
     return _make_part
+
+
+def _independent_read(path, most=24):
+    """A second reader, after the description of the format alone: what SPFN and CPFN do with a file, and assertions."""
+    parameters = {
+        "plane": ["location", "axis"],
+        "sphere": ["location", "radius"],
+        "cylinder": ["location", "axis", "radius"],
+        "cone": ["apex", "axis", "semi_angle"],
+    }
+    with h5py.File(path, "r") as file:
+        points, noisy, normals = (file[name][()] for name in ("gt_points", "noisy_points", "gt_normals"))
+        labels = file["gt_labels"][()]
+        assert points.shape == noisy.shape == normals.shape == (len(labels), 3) and labels.dtype.kind == "i"
+        found = {}
+        for name in file:
+            if "_soup_" in name:
+                stem, number = name.rsplit("_soup_", 1)
+                assert (
+                    stem == os.path.splitext(os.path.basename(path))[0]
+                    and number.isdigit()
+                    and int(number) not in found
+                )
+                group = file[name]
+                assert group["gt_points"].shape == group["gt_normals"].shape == (512, 3)
+                raw = group.attrs["meta"]
+                assert isinstance(raw, np.void)
+                values = pickle.loads(raw.tobytes())
+                assert all(isinstance(key, str) and isinstance(value, str) for key, value in values.items())
+                row = [values["type"]]
+                for key in parameters[values["type"]]:
+                    letters = [""] if key in ("radius", "semi_angle") else ["_x", "_y", "_z"]
+                    row.append([float(values[key + letter]) for letter in letters])
+                found[int(number)] = (row, group["gt_points"][()])
+        assert sorted(found) == list(range(len(found))) and 0 < len(found) <= most and labels.max() < len(found)
+    return points, noisy, normals, labels, found
+
+
+@pytest.fixture(scope="session")
+def independent_read():
+    """independent_read(path) -> points, noisy points, normals, labels, {number: ([kind, *fields], samples)}."""
+    return _independent_read
 
 
 @pytest.fixture(scope="session")

@@ -31,44 +31,8 @@ def path(tmp_path, good):
     return path
 
 
-def _independent_read(path, most=24):
-    """A second reader, after the description of the format alone: what SPFN and CPFN do with a file, and assertions."""
-    parameters = {
-        "plane": ["location", "axis"],
-        "sphere": ["location", "radius"],
-        "cylinder": ["location", "axis", "radius"],
-        "cone": ["apex", "axis", "semi_angle"],
-    }
-    with h5py.File(path, "r") as file:
-        points, noisy, normals = (file[name][()] for name in ("gt_points", "noisy_points", "gt_normals"))
-        labels = file["gt_labels"][()]
-        assert points.shape == noisy.shape == normals.shape == (len(labels), 3) and labels.dtype.kind == "i"
-        found = {}
-        for name in file:
-            if "_soup_" in name:
-                stem, number = name.rsplit("_soup_", 1)
-                assert (
-                    stem == os.path.splitext(os.path.basename(path))[0]
-                    and number.isdigit()
-                    and int(number) not in found
-                )
-                group = file[name]
-                assert group["gt_points"].shape == group["gt_normals"].shape == (512, 3)
-                raw = group.attrs["meta"]
-                assert isinstance(raw, np.void)
-                values = pickle.loads(raw.tobytes())
-                assert all(isinstance(key, str) and isinstance(value, str) for key, value in values.items())
-                row = [values["type"]]
-                for key in parameters[values["type"]]:
-                    letters = [""] if key in ("radius", "semi_angle") else ["_x", "_y", "_z"]
-                    row.append([float(values[key + letter]) for letter in letters])
-                found[int(number)] = (row, group["gt_points"][()])
-        assert sorted(found) == list(range(len(found))) and 0 < len(found) <= most and labels.max() < len(found)
-    return points, noisy, normals, labels, found
-
-
-def test_an_independent_reader_accepts_our_files(path, part):
-    points, noisy, normals, labels, found = _independent_read(path)
+def test_an_independent_reader_accepts_our_files(path, part, independent_read):
+    points, noisy, normals, labels, found = independent_read(path)
     np.testing.assert_array_equal(points, part.cloud.points)
     np.testing.assert_array_equal(noisy, part.cloud.noisy_points)
     np.testing.assert_array_equal(normals, part.cloud.normals)
@@ -103,12 +67,21 @@ def test_round_trip(tmp_path, make_part, assert_equal, dtype):
         found = traceparts.read(tmp_path / "other name.h5")
         assert found.name == "other name" and (found.family, found.scale, found.areas) == ("", 1.0, None)
         assert_equal(found.cloud, part.cloud)
-        # A plane is stored as a point and a normal, so its offset comes back but for rounding.
-        left, right = records.pack(found.primitives), records.pack(part.primitives)
-        np.testing.assert_array_equal(left.kind, right.kind)
-        np.testing.assert_allclose(left.parameters, right.parameters, rtol=4e-16, atol=0)
-        planes = left.kind == 0
-        np.testing.assert_array_equal(left.parameters[~planes], right.parameters[~planes])
+        assert_equal(records.pack(found.primitives), records.pack(part.primitives))
+
+
+def test_offsets_of_planes_come_back_exactly(tmp_path, part):
+    draw = np.random.default_rng(1)
+    normals = draw.normal(size=(200, 3)) * (draw.random((200, 3)) < 0.7) + np.eye(3)[np.arange(200) % 3]
+    normals /= np.sqrt(np.sum(normals**2, axis=1, keepdims=True))
+    normals *= np.sign(normals[np.arange(200), np.argmax(np.abs(normals), axis=1)])[:, None]
+    planes = tuple(Plane(normal, offset) for normal, offset in zip(normals, draw.normal(size=200), strict=True))
+    samples = np.zeros((200, 512, 3), np.float32)
+    cloud = part.cloud._replace(samples=samples, sample_normals=None)
+    traceparts.write(tmp_path / "planes.h5", part._replace(primitives=planes, areas=None, cloud=cloud))
+    for plane, found in zip(planes, traceparts.read(tmp_path / "planes.h5").primitives, strict=True):
+        np.testing.assert_array_equal(found.normal, plane.normal)
+        assert found.offset == plane.offset
 
 
 def test_what_a_part_lacks(tmp_path, part):
@@ -288,8 +261,12 @@ def test_folders_and_lists(tmp_path, make_part):
     elsewhere = tmp_path / "list.csv"
     elsewhere.write_bytes(b"\xef\xbb\xbfp1.h5\r\np0.h5\r\n\r\n")
     assert [path.stem for path in traceparts.read_list(elsewhere, folder=tmp_path / "set")] == ["p1", "p0"]
+    for taken in (tmp_path / "set", tmp_path / "list.csv"):
+        with pytest.raises(OSError):
+            traceparts.write_folder(taken, parts)
     with pytest.raises(ValueError, match="its name is no file name"):
-        traceparts.write_folder(tmp_path / "bad", [parts[0]._replace(name="../p")])
+        traceparts.write_folder(tmp_path / "bad", [parts[1], parts[0]._replace(name="../p")])
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["list.csv", "set"]
 
 
 @pytest.mark.parametrize(
