@@ -34,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Trains, says how it ended and where the results lie."""
     from jprimfit.apps.cache import use_compilation_cache
+    from jprimfit.apps.memory import reuse_memory
+
+    reuse_memory()
     from jprimfit.training import config, loop, parallel
 
     use_compilation_cache()

@@ -92,17 +92,27 @@ class Searches(NamedTuple):
     coarse: tuple[Neighbors, ...]  # per step: of the points of level l among those of level l + 1, three of them
 
 
-def build(points: Float[Array, "n 3"], point_mask: Bool[Array, "n"] | None = None, *, spec: HierarchySpec) -> Hierarchy:
+def build(
+    points: Float[Array, "n 3"],
+    point_mask: Bool[Array, "n"] | None = None,
+    *,
+    spec: HierarchySpec,
+    neighbors: Neighbors | None = None,
+) -> Hierarchy:
     """The hierarchy of one cloud by jittable code; brute-force searches, so O(n^2) work in O(n) memory.
 
-    The same as host.build_hierarchy except where squared distances tie within rounding.
+    The same as host.build_hierarchy except where squared distances tie within rounding. neighbors: those of the points
+    among themselves, spec.own_neighbors(0) or more, if already known.
     """
     mask = jnp.ones(len(points), bool) if point_mask is None else point_mask
     sample = farthest_points(points, point_mask, num_samples=spec.num_points[0])
     clouds, masks, _ = levels(points, mask, sample, spec=spec)
     own, coarse = [], []
     for step in range(spec.num_steps):
-        own.append(knn(clouds[step], clouds[step], masks[step], k=spec.own_neighbors(step)))
+        if step == 0 and neighbors is not None:
+            own.append(nearest(neighbors, k=spec.own_neighbors(0)))
+        else:
+            own.append(knn(clouds[step], clouds[step], masks[step], k=spec.own_neighbors(step)))
         coarse.append(knn(clouds[step], clouds[step + 1], masks[step + 1], k=NUM_INTERPOLATED))
     return assemble(points, mask, Searches(sample, tuple(own), tuple(coarse)), spec=spec)
 

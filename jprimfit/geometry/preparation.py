@@ -5,11 +5,12 @@ all: neighbours come in order of distance, so that the smaller ones are its firs
 neighbourhood. Lengths in the unit of the points; a HierarchySpec means its own in the normalised frame.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Num
 
+from jprimfit.geometry.filtering import FILTERED, bilateral_normals
 from jprimfit.geometry.hierarchy import HierarchySpec, IndexSets, index_sets, nearest
 from jprimfit.geometry.host import build_hierarchy, knn, pca_normals
 from jprimfit.types import Neighbors
@@ -20,7 +21,7 @@ class Prepared(NamedTuple):
 
     points: Float32[np.ndarray, "n 3"]
     mask: Bool[np.ndarray, "n"]  # False = padding, behind the points: a copy of the first
-    local_normals: Float32[np.ndarray, "n g 3"]  # unit, PCA normals at g neighbourhood sizes, of either sign
+    local_normals: Float32[np.ndarray, "n g 3"]  # unit, of PCA at g sizes of neighbourhood or filtered, of either sign
     curvature: Float32[np.ndarray, "n g"]  # the surface variation of the same neighbourhoods, in [0, 1/3]
     sets: IndexSets
 
@@ -38,25 +39,30 @@ def prepare(
     Args:
         points: all valid, in the normalised frame.
         spec: sizes of the hierarchy.
-        neighborhoods: k of each PCA normal, itself included; may be empty.
+        neighborhoods: k of each PCA normal, itself included; may be empty. FILTERED (0) stands for the normals of the
+            smallest, filtered over the largest.
         num_points: n of the result; the number of points if None.
         workers: threads of the searches, -1 = all cores.
 
     Raises:
-        ValueError: no points, more than num_points of them, or a neighbourhood of fewer than three points.
+        ValueError: no points, more than num_points of them, or neighbourhoods that are none of three points or more.
     """
     points = np.asarray(points, np.float32)
     size = len(points) if num_points is None else num_points
     if not 1 <= len(points) <= size:
         raise ValueError(f"The cloud has {len(points)} points, expected 1 to {size}; thin it first.")
-    if min(neighborhoods, default=3) < 3:
+    sizes = [k for k in neighborhoods if k != FILTERED]
+    if min(sizes, default=0 if neighborhoods else 3) < 3:
         raise ValueError(f"The neighbourhoods are {neighborhoods}, expected at least 3 points in each.")
-    found = knn(points, points, k=max(spec.own_neighbors(0), *neighborhoods, 1), workers=workers)
-    normals = [pca_normals(points, k=k, neighbors=nearest(found, k=k)) for k in neighborhoods]
+    found = knn(points, points, k=max(spec.own_neighbors(0), *sizes, 1), workers=workers)
+    surfaces: dict[int, Any] = {k: pca_normals(points, k=k, neighbors=nearest(found, k=k)) for k in sizes}
+    if FILTERED in neighborhoods:
+        normal, curvature = (values.astype(np.float32) for values in surfaces[min(sizes)])
+        surfaces[FILTERED] = bilateral_normals(points, normal, curvature, nearest(found, k=max(sizes)))
     local_normals = np.zeros((len(points), len(neighborhoods), 3), np.float32)
     curvature = np.zeros((len(points), len(neighborhoods)), np.float32)
-    for column, surface in enumerate(normals):
-        local_normals[:, column], curvature[:, column] = surface.normal, surface.curvature
+    for column, k in enumerate(neighborhoods):
+        local_normals[:, column], curvature[:, column] = surfaces[k].normal, surfaces[k].curvature
     padded, mask = _padded(points, size), np.arange(size) < len(points)
     own = Neighbors(*(_padded(values, size) for values in found))
     hierarchy = build_hierarchy(padded, mask, spec=spec, neighbors=own, workers=workers)

@@ -19,6 +19,7 @@ from jprimfit.geometry.sampling import optimised_farthest_points
 from jprimfit.networks.clustering import cluster
 from jprimfit.networks.segmenter import Segmenter, SegmenterConfig
 from jprimfit.networks.weights import Model
+from jprimfit.programs import stored
 from jprimfit.types import Prediction
 
 
@@ -103,10 +104,10 @@ def segment(
     return prediction, membership
 
 
-_sample = jax.jit(optimised_farthest_points, static_argnames="num_samples")
+_sample = stored(optimised_farthest_points, static_argnames="num_samples")
 
 
-@partial(jax.jit, static_argnames="config")
+@partial(stored, static_argnames="config")
 def _apply(variables: Any, prepared: Prepared, *, config: SegmenterConfig) -> tuple[Array, Array, Array]:
     """Membership, type probabilities and normals of all points of a prepared cloud."""
     prediction, membership = segment(Segmenter(config), variables, prepared, pooled=config.types == "pooled")

@@ -8,6 +8,7 @@ c channels; a leading "..." may be (n) or (m, k).
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
@@ -60,8 +61,17 @@ class BatchNorm(nn.Module):
         return mean, self._over_batch(jnp.sum(valid * jnp.square(centred), axes)) / count
 
     def _over_batch(self, sums: Any) -> Any:
-        """The sums of this cloud, summed over the batch."""
-        return lax.psum(sums, self.axis_names) if self.axis_names and not self.is_initializing() else sums
+        """The sums of this cloud, added up in the order of the batch, which is the same on any number of devices."""
+        if not self.axis_names or self.is_initializing():
+            return sums
+
+        def total(x: Array) -> Array:
+            clouds = x
+            for name in self.axis_names:
+                clouds = lax.all_gather(clouds, name)
+            return jnp.sum(clouds.reshape(-1, *x.shape), axis=0)
+
+        return jax.tree.map(total, sums)
 
 
 class Pointwise(nn.Module):

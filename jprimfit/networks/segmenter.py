@@ -36,14 +36,18 @@ class SegmenterConfig:
     pointnet2: PointNet2Config = field(default_factory=PointNet2Config)
     num_points: int = 8192  # of the cloud it works on; more are thinned, fewer are padded
     features: tuple[str, ...] = ("xyz",)  # some of "xyz", "pca"
-    neighborhoods: tuple[int, ...] = (16,)  # neighbours in each PCA, ascending
+    neighborhoods: tuple[int, ...] = (16,)  # neighbours in each PCA, ascending; 0 = geometry/filtering of the others
     head: Literal["slots", "prototype"] = "slots"
     num_slots: int = 28
     embedding_size: int = 32
     shared: int = 128  # channels of the layer before the heads
     dropout: float = 0.0  # share of its outputs that training drops
     types: Literal["point", "pooled"] = "point"
-    normals: Literal["free", "pca"] = "free"  # a vector of its own, or PCA's normals, weighed and turned
+    normals: Literal["free", "pca", "neighbors"] = "free"  # a vector, or those given, turned
+
+    def __post_init__(self) -> None:
+        if self.normals == "neighbors" and self.hierarchy.decoder_neighbors[0] == 0:
+            raise ValueError('normals "neighbors" needs hierarchy.decoder_neighbors of at least 1 at the finest level.')
 
 
 class Segmenter(nn.Module):
@@ -69,7 +73,7 @@ class Segmenter(nn.Module):
         Args:
             points: in the normalised frame; the hierarchy is theirs.
             hierarchy: of spec config.hierarchy.
-            local_normals: PCA normals at config.neighborhoods, of either sign.
+            local_normals: at config.neighborhoods, of either sign.
             curvature: of the same neighbourhoods.
             query: rows of points that are asked for; None = all.
             train: dropout and the statistics of the batch, or neither.
@@ -94,7 +98,7 @@ class Segmenter(nn.Module):
         if config.types == "pooled" and segments is not None:
             pooled = SegmentTypes(name="segment_types")(x, segments)
         return Prediction(
-            normals=self._normals(x, normals),
+            normals=self._normals(x, normals, self._around(x, points, hierarchy, local_normals, curvature, query)),
             type_logits=nn.Dense(NUM_TYPES, name="types")(x),
             features=x,
             membership_logits=instance if slots else None,
@@ -102,12 +106,44 @@ class Segmenter(nn.Module):
             segment_type_logits=pooled,
         )
 
-    def _normals(self, x: Float[Array, "q c"], local: Float[Array, "q g 3"]) -> Float[Array, "q 3"]:
+    def _around(self, x, points, hierarchy, local_normals, curvature, query) -> Float[Array, "q 3 3"] | None:
+        """sum_j a_ij n_j n_jᵀ over the neighbours j of each query, None unless they have a say in its normal.
+
+        a is a softmax over the neighbours of what the features of i make of how j lies: the heights of each over the
+        other's tangent plane in units of the group's radius, the angle of their normals, and the curvature at both.
+        """
+        if self.config.normals != "neighbors":
+            return None
+        groups, own, bend = hierarchy.decoder_groups[0], local_normals[:, 0], safe.sqrt(curvature)
+        around = groups.index if query is None else groups.index[query]
+        mask = groups.mask if query is None else groups.mask[query]
+        rows = jnp.arange(len(points)) if query is None else query
+        others = own[around]
+        offset = points[around] - points[rows][:, None, :]
+        sq_distance = jnp.sum(offset * offset, axis=-1)
+        radius = safe.sqrt(jnp.max(jnp.where(mask, sq_distance, 0), axis=1))[:, None]
+        seen = [
+            safe.divide(jnp.sum(offset * own[rows][:, None, :], axis=-1), radius),
+            safe.divide(jnp.sum(offset * others, axis=-1), radius),
+            jnp.sum(others * own[rows][:, None, :], axis=-1),
+            safe.divide(safe.sqrt(sq_distance), radius),
+        ]
+        bends = [bend[around], bend[rows][:, None, :] - bend[around]]
+        lies = jnp.concatenate([jnp.abs(jnp.stack(seen, axis=-1)), *bends], axis=-1)
+        keys = nn.relu(nn.Dense(16, name="neighbor_keys")(lies))
+        logits = jnp.einsum("qkh,qh->qk", keys, nn.Dense(16, name="neighbor_query")(x))
+        share = nn.softmax(jnp.where(mask, logits, jnp.finfo(x.dtype).min / 2), axis=-1)
+        return jnp.einsum("qk,qki,qkj->qij", share, others, others)
+
+    def _normals(
+        self, x: Float[Array, "q c"], local: Float[Array, "q g 3"], around: Float[Array, "q 3 3"] | None
+    ) -> Float[Array, "q 3"]:
         """Unit normals, of either sign.
 
-        With "pca" the vector is M n for n the first PCA normal, M = sum_g a_g n_g n_gᵀ + S and a, S (symmetric) from
-        the network. As n enters twice in each term or once in front, the answer turns its sign with n and with
-        nothing else; at the start S = 0 and it is the mean of the PCA normals.
+        With "pca" the vector is M n for n the first of the local normals, M = sum_g a_g n_g n_gᵀ + S and a, S
+        (symmetric) from the network; with "neighbors" M has the term of _around, too. As n enters twice in each term
+        or once in front, the answer turns its sign with n and with nothing else; at the start S = 0 and it is a mean
+        of the local normals.
         """
         if self.config.normals == "free":
             return safe.unit(nn.Dense(3, name="normal")(x))
@@ -117,6 +153,8 @@ class Segmenter(nn.Module):
         first = local[:, 0]
         cosine = jnp.sum(local * first[:, None, :], axis=-1)
         vector = jnp.sum((weight * cosine)[..., None] * local, axis=1)
+        if around is not None:
+            vector = vector + jnp.einsum("qij,qj->qi", around, first)
         rows = (entries[:, (0, 1, 2)], entries[:, (1, 3, 4)], entries[:, (2, 4, 5)])
         turned = jnp.stack([jnp.sum(row * first, axis=-1) for row in rows], axis=-1)
         return safe.unit(vector + turned)

@@ -40,12 +40,15 @@ class LossConfig:
     similarity: float = 0.0
     total: float = 1.0  # multiplies the weighted sum
     sharpness: float = 2.0  # of the prototypes' softmax, per squared unit of the embedding
+    type_balance: float = 0.0  # share of the mean over instances in the term type, the rest is the mean over points
     fit_points: int = 0  # points that parameter and residue fit to, every n / fit_points-th row; 0 = all
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
             if value < 0 or (name == "sharpness" and value == 0):
                 raise ValueError(f"{name} of the losses is {value}: give a positive number, or 0 to leave a term out")
+        if self.type_balance > 1:
+            raise ValueError(f"type_balance of the losses is {self.type_balance}: give a share from 0 to 1")
 
 
 def losses(
@@ -61,7 +64,7 @@ def losses(
     if config.normal:
         terms["normal"] = normal_loss(prediction.normals, truth)
     if config.type:
-        terms["type"] = type_loss(prediction, truth)
+        terms["type"] = type_loss(prediction, truth, balance=config.type_balance)
     terms |= _membership_terms(prediction, truth, points, config)
     total = sum((getattr(config, name) * term for name, term in terms.items()), jnp.zeros((), points.dtype))
     return {**terms, "total": config.total * total}
@@ -112,16 +115,24 @@ def normal_loss(normals: Float[Array, "n 3"], truth: Truth) -> Float[Array, ""]:
     return _mean(1 - jnp.abs(jnp.sum(normals * truth.normals, axis=1)), truth.mask)
 
 
-def type_loss(prediction: Prediction, truth: Truth) -> Float[Array, ""]:
+def type_loss(prediction: Prediction, truth: Truth, *, balance: float = 0.0) -> Float[Array, ""]:
     """Cross-entropy of the type in nats.
 
-    Mean over the points that have an instance; or, where the network answers for whole segments (segment_type_logits,
-    row k asked for true instance k), mean over the instances that have a point. 0 where there is none.
+    Mean over the points that have an instance, of which a share `balance` may be the mean over instances of their
+    means instead: the metric counts instances, and a kind of small ones would drown among the points of others. Or,
+    where the network answers for whole segments (segment_type_logits, row k asked for true instance k), mean over the
+    instances that have a point. 0 where there is none.
     """
     has_instance = truth.mask & (truth.labels >= 0)
     if prediction.segment_type_logits is None:
         kind = truth.kind[jnp.maximum(truth.labels, 0)]
-        return _mean(_cross_entropy(prediction.type_logits, kind), has_instance)
+        surprise = _cross_entropy(prediction.type_logits, kind)
+        if not balance:
+            return _mean(surprise, has_instance)
+        own = memberships.of_truth(truth, dtype=surprise.dtype)
+        count = jnp.sum(own, axis=0)
+        of_instance = safe.divide(jnp.sum(own * surprise[:, None], axis=0), count)
+        return (1 - balance) * _mean(surprise, has_instance) + balance * _mean(of_instance, count > 0)
     num_instances = truth.instance_mask.shape[0]
     present = jnp.zeros(num_instances, bool).at[jnp.maximum(truth.labels, 0)].max(has_instance)
     logits = prediction.segment_type_logits

@@ -143,8 +143,16 @@ def forbidden_changes(before: Config | dict[str, Any], after: Config) -> list[st
     allowed = FREE_TO_CHANGE
     if after.optimizer.schedule == "staircase" and after.optimizer.warmup == 0:
         allowed += LENGTH
-    mapping = settings.to_mapping(before) if isinstance(before, Config) else before
+    mapping = settings.to_mapping(before) if isinstance(before, Config) else _completed(before)
     return [key for key in settings.differences(mapping, settings.to_mapping(after)) if key not in allowed]
+
+
+def _completed(mapping: dict[str, Any]) -> dict[str, Any]:
+    """The settings of an old run with the defaults of those that came later, where it can be read at all."""
+    try:
+        return settings.to_mapping(settings.from_mapping(Config, mapping, source="the old run"))
+    except ValueError:
+        return mapping
 
 
 def _require(holds: bool, name: str, value: Any, expected: str) -> None:

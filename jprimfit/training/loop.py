@@ -59,6 +59,7 @@ def train(config: Config, folder: Path, *, fresh: bool = False) -> Outcome:
         parallel.agreed(True)  # the others wait until the folder is there
         signals = stack.enter_context(_signals())
         sources = open_sources(config)
+        stack.callback(sources.training.close)
         checkpoints = stack.enter_context(Checkpoints(folder / "checkpoints", config=settings.to_mapping(config)))
         cloud = jax.tree.map(lambda x: x[0], sources.training.batch(0, 1))
         variables = initial_variables(Segmenter(config.model), cloud, config=config)
@@ -141,7 +142,7 @@ class _Run:
             f"{self.folder}: {begin}, to step {self.num_steps}; {self.num_parameters:,} parameters, "
             f"{self.sources.num_clouds} clouds, {self.devices.num_devices} x {jax.devices()[0].device_kind}"
         )
-        left_out = self.sources.training.pool.num_left_out
+        left_out = self.sources.training.num_left_out
         if left_out:
             most = self.config.data.max_instances
             self.progress.say(f"{left_out} parts have no instance or more than data.max_instances = {most}: left out")

@@ -1,4 +1,4 @@
-"""Where the clouds of a run come from: the pool it learns from, and the fixed one it is validated on."""
+"""Where the clouds of a run come from: the pool or stream it learns from, and the fixed pool it is validated on."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -7,24 +7,27 @@ import jax
 
 from jprimfit.data.examples import Example
 from jprimfit.data.loader import Loader, LoaderConfig
+from jprimfit.data.stream import Stream
 from jprimfit.training import parallel
 from jprimfit.training.config import Config
 
+AHEAD = 3  # batches that a stream has room for
+
 
 class Sources(NamedTuple):
-    """The two loaders of a run."""
+    """What a run draws from; close the training's when it is over."""
 
-    training: Loader
+    training: Loader | Stream
     validation: Loader
 
     @property
     def num_clouds(self) -> int:
         """Clouds of an epoch."""
-        return len(self.training.pool)
+        return self.training.num_clouds
 
 
 def open_sources(config: Config) -> Sources:
-    """Opens both pools, and builds those that are missing: the process that writes first, the others after it."""
+    """Opens both, and builds pools that are missing: the process that writes first, the others after it."""
     if parallel.is_writer():
         sources = _open(config)
         parallel.agreed(True)
@@ -46,4 +49,9 @@ def _open(config: Config) -> Sources:
         model = config.model
         return Loader(data, model.hierarchy, model.neighborhoods, seed=config.seed, progress=parallel.is_writer())
 
-    return Sources(loader(config.data), loader(config.validation))
+    validation = loader(config.validation)
+    if config.data.feed == "pool":
+        return Sources(loader(config.data), validation)
+    rows = parallel.share(config.train.batch_size)
+    num_slots = AHEAD * max(1, rows.stop - rows.start)
+    return Sources(Stream(config.data, seed=config.seed, num_slots=num_slots), validation)

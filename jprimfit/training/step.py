@@ -16,13 +16,14 @@ from jax import lax
 from jaxtyping import Int
 
 from jprimfit import settings
-from jprimfit.data.examples import Example
+from jprimfit.data.examples import Example, Scan
 from jprimfit.geometry.hierarchy import from_index_sets
 from jprimfit.networks import weights
 from jprimfit.objectives import memberships
 from jprimfit.objectives.losses import losses
 from jprimfit.training import state as states
 from jprimfit.training.config import Config
+from jprimfit.training.inputs import network_inputs
 from jprimfit.training.parallel import AXIS
 from jprimfit.training.state import TrainState
 from jprimfit.types import Prediction
@@ -33,17 +34,16 @@ CLOUD = "cloud"
 class Batch(NamedTuple):
     """Clouds and their rows in the batch of all devices."""
 
-    example: Example  # with a leading axis b
+    example: Example | Scan  # with a leading axis b
     row: Int[Any, "b"]  # int32
 
 
-def initial_variables(segmenter: nn.Module, example: Example, *, config: Config) -> Any:
+def initial_variables(segmenter: nn.Module, example: Example | Scan, *, config: Config) -> Any:
     """The variables before training, from the seed; example is one cloud and gives the shapes."""
 
     @jax.jit
     def initialise(key, example):
-        hierarchy = from_index_sets(example.points, example.sets, example.mask)
-        inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
+        inputs = network_inputs(example, model=config.model)
         return segmenter.init({"params": key}, *inputs, train=False, segments=_segments(example, config))
 
     return initialise(jax.random.key(config.seed), example)
@@ -113,10 +113,11 @@ def predict(segmenter: nn.Module, variables: Any, example: Example) -> Predictio
     return segmenter.apply(variables, *inputs, train=False)  # pyright: ignore[reportReturnType]
 
 
-def _loss(segmenter: nn.Module, variables: Any, example: Example, key: Any, *, config: Config) -> tuple[dict, Any]:
+def _loss(
+    segmenter: nn.Module, variables: Any, example: Example | Scan, key: Any, *, config: Config
+) -> tuple[dict, Any]:
     """The terms of one cloud, and the statistics of the batch it is part of."""
-    hierarchy = from_index_sets(example.points, example.sets, example.mask)
-    inputs = (example.points, hierarchy, example.local_normals, example.curvature, example.query)
+    inputs = network_inputs(example, model=config.model)
     prediction, changed = segmenter.apply(
         variables,
         *inputs,
@@ -129,7 +130,7 @@ def _loss(segmenter: nn.Module, variables: Any, example: Example, key: Any, *, c
     return losses(prediction, example.truth, seen, config.loss), changed.get("batch_stats", {})
 
 
-def _segments(example: Example, config: Config) -> Any:
+def _segments(example: Example | Scan, config: Config) -> Any:
     """While it learns, a classifier of whole segments is asked for the true ones."""
     if config.model.types != "pooled":
         return None

@@ -8,12 +8,11 @@ import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 import yaml
 
 from jprimfit import settings
-from jprimfit.io.files import replacing
+from jprimfit.io.files import only_here, replacing
 from jprimfit.networks import weights
 from jprimfit.training.config import Config, forbidden_changes
 
@@ -40,17 +39,10 @@ def prepared(folder: Path, config: Config, *, fresh: bool) -> Iterator[None]:
         yield
 
 
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keeps other processes out of the folder, which is made where it is missing; ValueError where one is in it.
-
-    The lock ends with the process, however that ends. Systems without flock go without.
-    """
+def locked(folder: Path) -> contextlib.AbstractContextManager[None]:
+    """Keeps other trainings out of the folder, which is made where it is missing; ValueError where one is in it."""
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / LOCK, "a") as file:
-        if not _lock(file):
-            raise ValueError(f"{folder} is in use by another training: wait for it, or give another --workdir.")
-        yield
+    return only_here(folder / LOCK, f"{folder} is in use by another training: wait for it, or give another --workdir.")
 
 
 def _refuse_own_model(folder: Path, start_from: str | None) -> None:
@@ -75,20 +67,6 @@ def _keep_settings(folder: Path, config: Config) -> None:
         raise ValueError(f"{folder} holds files, but no {SETTINGS} of a run: give an empty or a new --workdir.")
     with replacing(record) as file:
         file.write(yaml.safe_dump(settings.to_mapping(config), sort_keys=False).encode())
-
-
-def _lock(file: IO[str]) -> bool:
-    try:
-        import fcntl
-    except ImportError:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True  # some network file systems have no locks
-    return True
 
 
 def _free_name(folder: Path) -> Path:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jprimfit.geometry import host
+from jprimfit.geometry.filtering import bilateral_normals
 from jprimfit.geometry.hierarchy import HierarchySpec, index_sets
 from jprimfit.geometry.preparation import prepare
 
@@ -22,6 +23,16 @@ def test_one_search_gives_what_separate_ones_do(neighborhoods, assert_trees_equa
         np.testing.assert_allclose(prepared.curvature[:, column], expected.curvature, atol=1e-6)
         agreement = np.abs(np.sum(prepared.local_normals[:, column] * expected.normal, axis=1))
         np.testing.assert_allclose(agreement, 1.0, atol=1e-5)
+
+
+def test_filtered_normals_are_of_the_smallest_over_the_largest():
+    prepared = prepare(CLOUD, spec=SPEC, neighborhoods=(0, 6, 20), num_points=130)
+    surface = host.pca_normals(CLOUD, k=6)
+    normal, curvature = surface.normal.astype(np.float32), surface.curvature.astype(np.float32)
+    expected = bilateral_normals(CLOUD, normal, curvature, host.knn(CLOUD, CLOUD, k=20))
+    agreement = np.abs(np.sum(prepared.local_normals[:100, 0] * expected.normal, axis=1))
+    np.testing.assert_allclose(agreement, 1.0, atol=1e-5)
+    np.testing.assert_allclose(prepared.curvature[:100, 0], expected.curvature, atol=1e-5)
 
 
 def test_padding_repeats_the_first_point_and_changes_nothing():

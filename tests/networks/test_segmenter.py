@@ -45,12 +45,19 @@ PUBLISHED = SegmenterConfig(
     dropout=0.5,
     types="pooled",
 )
+NEIGHBORS = replace(
+    CHEAP,
+    hierarchy=EVERY,
+    pointconv=replace(CHEAP.pointconv, decoder=((8, 8, 8), (8, 8))),
+    normals="neighbors",
+)
 POINTNET2 = PointNet2Config(encoder=((6, 8), (8, 8)), decoder=((8, 8), (8,)))
 CONFIGS = {
     "cheap PointConv, prototype": CHEAP,
     "cheap PointConv, PointConv's order": replace(
         CHEAP, hierarchy=EVERY, pointconv=replace(CHEAP.pointconv, order="pointconv", decoder=((8, 8), (8, 8)))
     ),
+    "cheap PointConv, normals of neighbours": NEIGHBORS,
     "PointConv, slots, pooled": PUBLISHED,
     "PointNet++, slots": replace(PUBLISHED, backbone="pointnet2", pointnet2=POINTNET2, hierarchy=SPEC, types="point"),
     "cheap PointNet++, prototype, pooled": replace(
@@ -139,7 +146,7 @@ def test_training_counts_no_padding_at_any_level(case, toy):
     np.testing.assert_allclose(found.type_logits[:9], expected.type_logits, atol=2e-4, rtol=1e-3)
 
 
-@pytest.mark.parametrize("config", [CHEAP, PUBLISHED], ids=["cheap", "published"])
+@pytest.mark.parametrize("config", [CHEAP, NEIGHBORS, PUBLISHED], ids=["cheap", "neighbours", "published"])
 def test_the_order_of_the_points_is_nothing(config, toy):
     """But for the first point, with which the samples begin."""
     variables = toy.segmenter_variables(config)
@@ -157,11 +164,12 @@ def prepared_of(points, config):
     return prepare(points, spec=config.hierarchy, neighborhoods=config.neighborhoods, workers=1)
 
 
-def test_signs_of_pca_normals_turn_the_normals_and_nothing_else(toy):
-    variables, prepared = toy.segmenter_variables(CHEAP), prepared_cloud(toy, CHEAP)
+@pytest.mark.parametrize("config", [CHEAP, NEIGHBORS], ids=["cheap", "neighbours"])
+def test_signs_of_pca_normals_turn_the_normals_and_nothing_else(config, toy):
+    variables, prepared = toy.segmenter_variables(config), prepared_cloud(toy, config)
     signs = np.random.default_rng(2).choice([-1, 1], (NUM_POINTS, 2, 1)).astype(np.float32)
-    one = toy.answer(variables, prepared, config=CHEAP)
-    other = toy.answer(variables, prepared._replace(local_normals=prepared.local_normals * signs), config=CHEAP)
+    one = toy.answer(variables, prepared, config=config)
+    other = toy.answer(variables, prepared._replace(local_normals=prepared.local_normals * signs), config=config)
     np.testing.assert_allclose(other.normals, one.normals * signs[:, 0], atol=1e-6)
     for name in ("features", "embedding", "type_logits"):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-6, err_msg=name)
@@ -250,3 +258,8 @@ def test_segment_types_pool_the_largest_features_by_loops(toy):
     expected = np.maximum(pooled @ hidden["kernel"] + hidden["bias"], 0) @ types["kernel"] + types["bias"]
     found = module.apply(variables, features, membership)
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_normals_of_neighbours_need_groups():
+    with pytest.raises(ValueError, match="decoder_neighbors of at least 1"):
+        replace(CHEAP, normals="neighbors")

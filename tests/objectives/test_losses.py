@@ -225,6 +225,21 @@ def test_pooled_types_are_judged_by_instance(part, tolerance):
         jax.eval_shape(functools.partial(losses, config=LossConfig()), wrong, part.truth, part.points)
 
 
+def test_balanced_types_count_instances_beside_points(part, make_part, tolerance):
+    prediction = make_part.noise(part, np.random.default_rng(2))["slots"]
+    log_share, truth = np.log(softmax(prediction.type_logits)), part.truth
+    points = [n for n in range(len(truth.labels)) if truth.mask[n] and truth.labels[n] >= 0]
+    surprise = {n: -log_share[n, truth.kind[truth.labels[n]]] for n in points}
+    of_instance = [
+        np.mean([surprise[n] for n in points if truth.labels[n] == k])
+        for k in np.unique([truth.labels[n] for n in points])
+        if truth.instance_mask[k]
+    ]
+    expected = 0.25 * np.mean(list(surprise.values())) + 0.75 * np.mean(of_instance)
+    found = jax.jit(functools.partial(objective.type_loss, balance=0.75))(prediction, truth)
+    np.testing.assert_allclose(found, expected, atol=tolerance["float32"])
+
+
 def test_a_weight_of_zero_leaves_the_work_out(part):
     config = LossConfig(miou=0.0, parameter=0.0, residue=0.0, type=0.0, prototype=0.0)
     for head, names in (("slots", {"normal"}), ("prototype", {"normal", "spread"})):
@@ -235,7 +250,7 @@ def test_a_weight_of_zero_leaves_the_work_out(part):
 
 
 def test_what_cannot_be_computed_is_said(part):
-    for wrong in ({"miou": -1.0}, {"sharpness": 0.0}, {"fit_points": -5}):
+    for wrong in ({"miou": -1.0}, {"sharpness": 0.0}, {"fit_points": -5}, {"type_balance": 1.5}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))} of the losses is"):
             LossConfig(**wrong)
     without = part.slots._replace(membership_logits=None)

@@ -13,7 +13,7 @@ class Opened:
 
     def __init__(self, config, spec, neighborhoods, *, seed, progress):
         self.config, self.spec, self.neighborhoods, self.seed = config, spec, neighborhoods, seed
-        self.pool = range(5)
+        self.num_clouds = 5
 
 
 def test_both_pools_are_made_for_the_network(toy_mapping, monkeypatch):
