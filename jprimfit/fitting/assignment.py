@@ -23,8 +23,8 @@ MAX_TURN = 2.0  # of these at most: beside an edge a normal may be worth nothing
 SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
 SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
 MAX_LINK = 3.0  # length of a link, in distances to the farthest of the voters
-MIN_FACE = 6  # points; a smaller part cut off from its surface is no face
-SPECK = 4.0  # tolerances: radius below which noise alone can look like a face
+MIN_FACE = 6  # points that a face has at least; a smaller part cut off from its surface is none
+SPECK = 8.5  # tolerances: radius of a disk below which noise alone can look like a face
 SPECK_SHARE = 0.005  # of all points; what is larger is no speck under any noise (as SPFN's smallest segment)
 
 
@@ -57,11 +57,15 @@ def assign(
 
 
 def faces(
-    points: Float[np.ndarray, "n 3"], surface: LocalSurface, labels: Int[np.ndarray, " n"]
+    points: Float[np.ndarray, "n 3"],
+    surface: LocalSurface,
+    labels: Int[np.ndarray, " n"],
+    *,
+    min_points: int = MIN_FACE,
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " faces"]]:
     """Splits every surface into its connected faces: face of every point (-1 = none), and the surface of every face.
 
-    Faces are numbered by falling number of points. Parts of fewer than MIN_FACE points become -1.
+    Faces are numbered by falling number of points. Parts of fewer than min_points points become -1.
     """
     index = surface.index[:, 1:NUM_VOTERS]
     start, end = np.repeat(np.arange(len(index)), index.shape[1]), index.ravel()
@@ -71,7 +75,7 @@ def faces(
     component[labels < 0] = -1
     numbers, sizes = np.unique(component[component >= 0], return_counts=True)
     order = np.argsort(-sizes, kind="stable")
-    order = order[sizes[order] >= MIN_FACE]
+    order = order[sizes[order] >= min_points]
     rank = np.full(component.max(initial=-1) + 2, -1)
     rank[numbers[order]] = np.arange(len(order))
     face = rank[component]
@@ -81,13 +85,21 @@ def faces(
 
 
 def without_specks(
-    points: Float[np.ndarray, "n 3"], surface: LocalSurface, labels: Int[np.ndarray, " n"], *, tolerance: float
+    points: Float[np.ndarray, "n 3"],
+    surface: LocalSurface,
+    labels: Int[np.ndarray, " n"],
+    *,
+    tolerance: float,
+    min_points: int = MIN_FACE,
 ) -> Int[np.ndarray, " n"]:
-    """The labels with -1 on faces so small that they may be noise: assign then asks what lies around them."""
+    """The labels with -1 on faces so small that they may be noise, or of fewer points than are asked for.
+
+    assign then asks what lies around them.
+    """
     face, _ = faces(points, surface, labels)
     size = np.append(np.bincount(face[face >= 0], minlength=1), 0)[face]
-    smallest = min(np.pi * (SPECK * tolerance / surface.spacing) ** 2, SPECK_SHARE * len(points))
-    return np.where(size < max(smallest, MIN_FACE), -1, labels).astype(np.int32)
+    smallest = min(surface.num_in_disk(SPECK * tolerance), SPECK_SHARE * len(points))
+    return np.where(size < max(smallest, min_points), -1, labels).astype(np.int32)
 
 
 def _near(points, index, start, end) -> np.ndarray:

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int32
 
 from jprimfit.fitting import growing, local, merging
 from jprimfit.fitting.advice import Advice
+from jprimfit.primitives.table import KINDS
 
 MAX_ECHOES = 0.1  # share of the points in echoes that is put down to shape
 NUM_DOUBLINGS = 4  # of the noise, at most
@@ -34,22 +35,27 @@ def propose(
     normals: Float[np.ndarray, "n 3"] | None = None,
     *,
     advice: Advice | None = None,
+    sought: tuple[str, ...] = KINDS,
+    noise: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Proposal:
     """The surfaces that explain n >= 4 points; a point in several of their regions goes to the smallest.
 
     normals: unit, sign free, where they were measured; else they are estimated. advice: of a network; its normals
-    serve where noise hides those of the points. progress: called with (points explained, points in all).
+    serve where noise hides those of the points. sought: the kinds that are looked for. noise: of the scan, where it is
+    known; it is not doubled then. progress: called with (points explained, points in all).
     """
-    described = local.describe(points, normals=normals)
+    described = local.describe(points, normals=normals, noise=noise)
     if advice is not None and normals is None and not growing.is_quiet(described):
         normals = advice.normals
         described = described._replace(normal=normals)
     for doubling in range(NUM_DOUBLINGS + 1):
-        regions = growing.grow_regions(points, described, normals=normals, advice=advice, progress=progress)
+        regions = growing.grow_regions(
+            points, described, normals=normals, advice=advice, sought=sought, progress=progress
+        )
         tolerance = growing.tolerance(described)
         surfaces = merging.merge_regions(points, described.normal, regions, tolerance=tolerance)
-        if growing.is_quiet(described) or doubling == NUM_DOUBLINGS:
+        if growing.is_quiet(described) or noise is not None or doubling == NUM_DOUBLINGS:
             break
         if merging.echoes(points, surfaces, tolerance=tolerance) <= MAX_ECHOES:
             break

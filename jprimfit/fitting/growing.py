@@ -23,7 +23,7 @@ from jprimfit.fitting import kinds
 from jprimfit.fitting.advice import Advice
 from jprimfit.fitting.local import LocalSurface, describe
 from jprimfit.primitives.table import KINDS, MODULES
-from jprimfit.types import Primitive
+from jprimfit.types import Cone, Primitive
 
 NUM_LINKS = 8  # nearest neighbours that connect a point
 MAX_NORMAL_ANGLE = np.radians(25.0)  # between a core point's normal and the primitive's
@@ -34,10 +34,13 @@ GROWTH_ROUNDS = 16
 CLAIM_RINGS = 3  # links that a claim reaches beyond the core of a region
 HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.88}  # factor on the evidence
 TYPE_WEIGHT = 0.5  # of a point's log-probability of the kind: neighbours say the same, so it is not evidence of its own
+NARROW = 2.1  # tolerances: radius of a disk that a region must have the points of
 MAX_PASSES = 4
 SMALL_REGION = 80  # points; a larger region of a clean cloud is no coincidence
 SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to be tried
 QUIET = 0.05  # noise per spacing
+MAX_UPRIGHT = np.radians(1.0)  # half-angle of a cone that may be a cylinder
+FACET_SEEDS, FACET_POINTS = 7, 16  # places in a curved region where a plane is tried, and points to begin it with
 
 
 class Region(NamedTuple):
@@ -49,7 +52,7 @@ class Region(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """A cloud while regions are grown on it; the last three change as regions are found."""
+    """A cloud while regions are grown on it; the last two change as regions are found."""
 
     points: Float[np.ndarray, "n 3"]
     surface: LocalSurface
@@ -57,6 +60,7 @@ class _Pass(NamedTuple):
     links: Int[np.ndarray, "n k"]  # nearest neighbours of each point
     log_types: Float[np.ndarray, "n 4"]  # of each kind at each point, 0 where nobody knows
     tolerance: float
+    sought: tuple[str, ...]  # kinds
     taken: Bool[np.ndarray, " n"]  # core of a region: for no other
     claimed: Bool[np.ndarray, " n"]  # explained by a region, yet open to others
 
@@ -77,6 +81,7 @@ def grow_regions(
     *,
     normals: Float[np.ndarray, "n 3"] | None = None,
     advice: Advice | None = None,
+    sought: tuple[str, ...] = KINDS,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Region]:
     """All regions of a cloud, in the order they were found.
@@ -84,8 +89,8 @@ def grow_regions(
     What a pass leaves is looked at anew without the points that are explained: a wall three points high has no smooth
     neighbourhood as long as the faces above and below are seen too. Its edges, which those faces claim, stay in view.
     normals: measured ones, where the surface was described with them. advice: of a network; its patches are grown
-    first, the largest before the others, and the kinds that it expects have an advantage. progress is called with
-    (points explained or given up, points in all).
+    first, the largest before the others, and the kinds that it expects have an advantage. sought: the kinds that are
+    looked for. progress: called with (points explained or given up, points in all).
     """
     regions: list[Region] = []
     whole = surface
@@ -93,7 +98,7 @@ def grow_regions(
     claimed = np.zeros(len(points), dtype=bool)
     log_types = np.zeros((len(points), len(KINDS))) if advice is None else advice.log_types
     for number in range(MAX_PASSES):
-        state = _start(points[rows], surface, claimed, log_types[rows])
+        state = _start(points[rows], surface, claimed, log_types[rows], sought)
         found = _grow_patches(state, advice.patches) if advice is not None and number == 0 else []
         found += _grow_pass(state)
         regions += [region._replace(rows=rows[region.rows]) for region in found]
@@ -132,11 +137,11 @@ def _closed(regions: list[Region], surface: LocalSurface) -> list[Region]:
     return kept
 
 
-def _start(points, surface: LocalSurface, claimed: Bool[np.ndarray, " n"], log_types: np.ndarray) -> _Pass:
+def _start(points, surface: LocalSurface, claimed, log_types: np.ndarray, sought=KINDS) -> _Pass:
     links = surface.index[:, 1 : NUM_LINKS + 1]
     cloud = kinds.Cloud(points, surface.normal)
     taken = np.zeros(len(points), dtype=bool)
-    return _Pass(points, surface, cloud, links, log_types, tolerance(surface), taken, claimed.copy())
+    return _Pass(points, surface, cloud, links, log_types, tolerance(surface), sought, taken, claimed.copy())
 
 
 def _grow_patches(state: _Pass, patches: tuple[Int[np.ndarray, "_"], ...]) -> list[Region]:
@@ -146,11 +151,36 @@ def _grow_patches(state: _Pass, patches: tuple[Int[np.ndarray, "_"], ...]) -> li
         rows = patch[state.surface.core[patch] & ~state.taken[patch] & ~state.claimed[patch]]
         if len(rows) < max(SEED_POINTS[0], 0.5 * state.surface.core[patch].sum()):
             continue  # too small, or mostly explained by others
-        grown = [region for kind in KINDS if (region := _grow_kind(state, rows, kind)) is not None]
-        if grown:
-            best = max(grown, key=lambda region: region.evidence)
-            regions.append(_take(state, _outgrown(state, best)))
+        grown = [region for kind in state.sought if (region := _grow_kind(state, rows, kind)) is not None]
+        if not grown:
+            continue
+        region = _outgrown(state, max(grown, key=lambda region: region.evidence))
+        if _is_faceted(state, region):
+            state.log_types[region.rows] = 0.0
+        else:
+            regions.append(_take(state, region))
     return regions
+
+
+def _is_faceted(state: _Pass, region: Region) -> bool:
+    """Whether planes lie better within a curved region than it does: under noise a hexagon passes for a cylinder.
+
+    A strip of a truly curved surface is as wide as the tolerance lets a plane be wrong, so the plane fits it worse.
+    """
+    if region.primitive.kind == "plane" or "plane" not in state.sought:
+        return False
+    points, rows = state.points, region.rows
+    curved, _ = state.cloud.agreement(region.primitive)
+    votes = []
+    for seed in rows[np.linspace(0, len(rows) - 1, FACET_SEEDS + 2).astype(int)[1:-1]]:
+        near = rows[np.argsort(np.square(points[rows] - points[seed]).sum(axis=1))[:FACET_POINTS]]
+        plane = _grow_kind(state, near, "plane")
+        if plane is not None:
+            both = np.intersect1d(plane.rows, rows)
+            flat, _ = state.cloud.agreement(plane.primitive)
+            gain = 4.5 * float(np.sum(np.square(curved[both]) - np.square(flat[both]))) / state.tolerance**2
+            votes.append(gain > SIGNIFICANT)
+    return sum(votes) > FACET_SEEDS / 2
 
 
 def _take(state: _Pass, region: Region) -> Region:
@@ -193,9 +223,10 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
         return None
     quiet = is_quiet(state.surface)
     best: Region | None = None
-    # The likeliest kind first; where nobody knows, the simplest.
+    # The likeliest kind first; where nobody knows, the simplest. Under noise the first that grows is taken: evidence
+    # of what a small seed became favours the freest kind (competition there cost 2 to 6 points of right types).
     likely = state.log_types[patch].sum(axis=0)
-    for kind in sorted(KINDS, key=lambda kind: -likely[KINDS.index(kind)]):
+    for kind in sorted(state.sought, key=lambda kind: -likely[KINDS.index(kind)]):
         region = _grow_kind(state, patch, kind)
         if region is None:
             continue
@@ -211,7 +242,22 @@ def _outgrown(state: _Pass, region: Region) -> Region:
     """The region, or what another kind makes of it, as long as that explains more."""
     while (better := _regrow(state, region)) is not None:
         region = better
-    return region
+    return _upright(state, region)
+
+
+def _upright(state: _Pass, region: Region) -> Region:
+    """A cone that hardly opens as a cylinder, where that fits its points as well."""
+    cone = region.primitive
+    if not isinstance(cone, Cone) or cone.half_angle > MAX_UPRIGHT or "cylinder" not in state.sought:
+        return region
+    own, other = _refitted(state, "cone", region.rows), _refitted(state, "cylinder", region.rows)
+    if own is None or other is None:
+        return region
+    loss = 0.5 * len(region.rows) * (other.rms**2 - own.rms**2) / (state.tolerance / 3.0) ** 2
+    if loss > SIGNIFICANT:
+        return region
+    distance, _ = state.cloud.agreement(other.primitive)
+    return Region(region.rows, other.primitive, _evidence(state, "cylinder", region.rows, distance))
 
 
 def _regrow(state: _Pass, region: Region) -> Region | None:
@@ -222,7 +268,7 @@ def _regrow(state: _Pass, region: Region) -> Region | None:
     """
     best = None
     own = _refitted(state, region.primitive.kind, region.rows)
-    for kind in KINDS:
+    for kind in state.sought:
         if kind == region.primitive.kind:
             continue
         other = _refitted(state, kind, region.rows)
@@ -265,9 +311,8 @@ def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
 
 def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:
     points, surface = state.points, state.surface
-    # A region narrower than the band it is found in could be a speck of noise.
-    wide = np.pi * (state.tolerance / surface.spacing) ** 2
-    least = max(MIN_EXCESS + MODULES[kind].NUM_FREEDOM, int(wide))
+    # A region hardly wider than the band it is found in could be a speck of noise.
+    least = max(MIN_EXCESS + MODULES[kind].NUM_FREEDOM, int(surface.num_in_disk(NARROW * state.tolerance)))
     rows, primitive, evidence = patch, None, 0.0
     for _ in range(GROWTH_ROUNDS):
         fitted = _refitted(state, kind, rows)

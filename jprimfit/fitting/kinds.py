@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jprimfit.primitives.table import MODULES, of
+from jprimfit.programs import stored
 from jprimfit.solvers import least_squares
 from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
@@ -42,7 +43,7 @@ class Cloud:
 
     def agreement(self, primitive: Primitive) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Distance of every point to the primitive, and |cosine| between the point's normal and the primitive's."""
-        distance, cosine = _agreement(as_float32(primitive), self.points, self.normals)
+        distance, cosine = _one_agreement(as_float32(primitive), self.points, self.normals)
         return np.asarray(distance)[: self.num_points], np.asarray(cosine)[: self.num_points]
 
     def agreements(self, primitives: Sequence[Primitive]) -> tuple[Float[np.ndarray, "p n"], Float[np.ndarray, "p n"]]:
@@ -131,29 +132,35 @@ def as_float32(primitive: Primitive) -> Primitive:
     return type(primitive)(*(np.asarray(field, np.float32) for field in primitive))
 
 
-@jax.jit
+@stored
 def _normal(primitive: Any, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     return of(primitive).normal(primitive, points)
 
 
-@jax.jit
+@stored
+def _one_agreement(primitive: Any, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]):
+    return _agreement(primitive, points, normals)
+
+
 def _agreement(primitive: Any, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]):
     module = of(primitive)
     cosine = jnp.abs(jnp.sum(module.normal(primitive, points) * normals, axis=1))
     return module.distance(primitive, points), cosine
 
 
-_agreements = jax.jit(jax.vmap(_agreement, in_axes=(0, None, None)))
+@stored
+def _agreements(primitives: Any, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]):
+    return jax.vmap(_agreement, in_axes=(0, None, None))(primitives, points, normals)
 
 
-@partial(jax.jit, static_argnames="kind")
+@partial(stored, static_argnames="kind")
 def _fit(points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"], *, kind: str):
     first = MODULES[kind].fit(points, weights, normals)
     polished, rms, finite = _descend(first.primitive, points, weights)
     return polished, rms, finite, first.ok
 
 
-@jax.jit
+@stored
 def _polish(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"], normals: Float[Array, "n 3"]):
     return _descend(start, points, weights)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from jprimfit.geometry import host
 
@@ -31,6 +31,10 @@ class LocalSurface(NamedTuple):
     core: Bool[np.ndarray, " n"]  # True = the neighbourhood is one smooth surface
     spacing: float  # median distance to the nearest other point, length
     noise: float  # standard deviation along the normal, length
+
+    def num_in_disk(self, radius: float) -> float:
+        """Points of a surface in a disk on it: half of all points at random have none nearer than the spacing."""
+        return float(np.log(2.0)) * (radius / self.spacing) ** 2
 
 
 def describe(
@@ -93,8 +97,8 @@ def _quiet(residual: Float[np.ndarray, " n"], k: int) -> float:
     noise read from the quiet third, that third mixes two walls and the tenth is believed.
     """
     freedom = max(k - 6, 1)
-    third, tenth = (
-        float(np.quantile(residual, share)) / float(np.sqrt(chi2.ppf(share, freedom) / freedom))
+    third, tenth = (  # chi squared has the quantile 2 gammaincinv(freedom / 2, share)
+        float(np.quantile(residual, share)) / float(np.sqrt(2.0 * gammaincinv(freedom / 2.0, share) / freedom))
         for share in (QUIET, QUIETEST)
     )
     return tenth if tenth < 0.1 * third else third

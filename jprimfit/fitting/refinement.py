@@ -36,10 +36,12 @@ def refine(
     normals: Float64[np.ndarray, "n 3"] | None = None,
     *,
     noise: float | None = None,
+    min_points: int = assignment.MIN_FACE,
 ) -> Segmentation:
     """Faces and primitives of a cloud from surfaces and a first guess of each point's surface (-1 = none).
 
     normals: unit, where they were measured. noise: that the surfaces were found under; else it is estimated.
+    min_points: of a face.
     """
     described = local.describe(points, normals=normals, noise=noise)
     tolerance = growing.tolerance(described)
@@ -47,20 +49,31 @@ def refine(
     surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     for _ in range(ROUNDS):
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
-        labels = assignment.without_specks(points, described, labels, tolerance=tolerance)
+        labels = assignment.without_specks(points, described, labels, tolerance=tolerance, min_points=min_points)
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
-    faces, surface_of = assignment.faces(points, described, labels)
+    faces, surface_of = assignment.faces(points, described, labels, min_points=min_points)
+    return segmentation(points, described, faces, [surfaces[surface].primitive for surface in surface_of], surface_of)
+
+
+def segmentation(
+    points: Float64[np.ndarray, "n 3"],
+    described: local.LocalSurface,
+    labels: Int32[np.ndarray, " n"],
+    of_faces: list[Primitive],
+    surface_of: Int32[np.ndarray, " f"],
+) -> Segmentation:
+    """The answer in which every face, of which each has a point, keeps the points of its label."""
     primitives = []
     distances, of_points = np.full(len(points), np.nan), described.normal.copy()
-    for number, surface in enumerate(surface_of):
-        rows = np.flatnonzero(faces == number)
-        primitives.append(_centred(surfaces[surface].primitive, points[rows].mean(axis=0)))
+    for number, primitive in enumerate(of_faces):
+        rows = np.flatnonzero(labels == number)
+        primitives.append(_centred(primitive, points[rows].mean(axis=0)))
         distances[rows] = kinds.distances(primitives[-1], points[rows])
         of_points[rows] = kinds.normals(primitives[-1], points[rows])
     # Surfaces that lost all their faces leave no gap in the numbers.
     surface_of = np.unique(surface_of, return_inverse=True)[1].astype(np.int32)
-    return Segmentation(faces, tuple(primitives), surface_of, of_points, distances, described.noise)
+    return Segmentation(labels, tuple(primitives), surface_of, of_points, distances, described.noise)
 
 
 def _centred(primitive: Primitive, mean: Float64[np.ndarray, "3"]) -> Primitive:

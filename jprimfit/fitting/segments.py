@@ -9,14 +9,16 @@ import numpy as np
 from jaxtyping import Float
 
 MAX_MAGNITUDE = 1e100  # of a coordinate: beyond, squares leave float64
+FAR = 1e-3  # of the distance from the origin: the extent of a segment that lies far from it
+MIN_WEIGHT = 1e-12  # of the largest: less counts as none
 
 
 class Segment(NamedTuple):
     """The m points of a segment that have weight, at unit scale: points = anchor + size * local."""
 
-    local: Float[np.ndarray, "m 3"]  # weighted mean 0, rms distance from it 1
+    local: Float[np.ndarray, "m 3"]  # weighted mean 0, rms distance from it 1; its columns lie whole in memory
     weights: Float[np.ndarray, " m"]  # in (0, 1], the largest 1
-    normals: Float[np.ndarray, "m 3"] | None  # unit, 0 where they had no direction
+    normals: Float[np.ndarray, "m 3"] | None  # of any length
     anchor: Float[np.ndarray, "3"]
     size: float  # 0 where there is none: no weight, or all points equal
 
@@ -34,26 +36,33 @@ def segment(points: Any, weights: Any = None, normals: Any = None) -> Segment:
     normals = None if normals is None else _numbers(normals, "normals", 3)
     if normals is not None and len(normals) != len(points):
         raise ValueError(f"normals has {len(normals)} rows and points {len(points)}: give one normal per point.")
-    center, counted = points[0] + (points - points[0]).mean(axis=0), weights > 0.0
+    counted = weights > MIN_WEIGHT * weights.max()
+    if not counted.any():
+        return Segment(points[:0], weights[:0], None, points[0] + (points - points[0]).mean(axis=0), 0.0)
     if not counted.all():
         points, weights, normals = points[counted], weights[counted], None if normals is None else normals[counted]
-    if len(points) == 0:
-        return Segment(points, weights, None, center, 0.0)
     weights = weights / weights.max()
     share = weights / weights.sum()
-    offset = points - points[0]
-    center = share @ offset
-    anchor, offset = points[0] + center, offset - center
+    # Row by row, NumPy would take three numbers at a time.
+    coordinates = np.ascontiguousarray(points.T)
+    anchor = coordinates @ share
+    offset = coordinates - anchor[:, None]
     largest = float(max(offset.max(), -offset.min()))
+    if largest < FAR * np.abs(anchor).max():  # the mean's rounding would show
+        anchor = anchor + offset @ share
+        offset = coordinates - anchor[:, None]
+        largest = float(max(offset.max(), -offset.min()))
     # What is left of equal points after the subtraction is rounding.
     if largest <= 8.0 * np.finfo(float).eps * float(np.abs(anchor).max()):
         return Segment(points, weights, None, anchor, 0.0)
-    offset = offset / largest
-    size = float(np.sqrt(share @ np.einsum("nc,nc->n", offset, offset)))
-    return Segment(offset / size, weights, None if normals is None else _unit(normals), anchor, largest * size)
+    offset /= largest
+    size = float(np.sqrt((np.square(offset) @ share).sum()))
+    offset /= size
+    return Segment(offset.T, weights, normals, anchor, largest * size)
 
 
-def _unit(normals: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+def unit(normals: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+    """The normals at length 1; one of length 0 stays."""
     normals = normals / np.maximum(np.abs(normals).max(axis=1, keepdims=True), 1e-300)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
@@ -67,7 +76,7 @@ def _numbers(value: Any, name: str, width: int | None) -> np.ndarray:
     expected = array.ndim == 1 if width is None else array.ndim == 2 and array.shape[1] == width
     if array.dtype.kind not in "fiu" or not expected:
         raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}: give real numbers of shape {shape}.")
-    array = array.astype(np.float64)
+    array = array.astype(np.float64, copy=False)
     if array.size and not (array.max() <= MAX_MAGNITUDE and array.min() >= -MAX_MAGNITUDE):
         raise ValueError(f"{name} holds NaN, infinities or values beyond {MAX_MAGNITUDE:g}: leave such rows out.")
     return array

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jprimfit.fitting import associations, full_cone, kinds, segments, starts
+from jprimfit.fitting import associations, full_cone, kinds, planes, segments, spheres, starts
 from jprimfit.fitting.segments import Segment
 from jprimfit.geometry.linalg import frame_of
 from jprimfit.primitives.estimation import Estimate, estimate
@@ -24,7 +24,8 @@ from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 METHODS = ("best", "unbiased", "least-squares", *associations.METHODS)
 SAMPLE = 1_024  # points of the search for a start
 NOISY = 0.05  # sizes of the segment: noise beyond which several starts may be tried
-MANY = 8_192  # points on which they are
+MANY = 4_096  # points on which that is decided, and they are
+SETTLED = 0.98  # of its noise: no other start leads to less
 MAX_BLOB = 0.35  # noise over the distance from the center or axis that a surface seen from all sides may have
 MIN_PADDED = 256
 OUTLIER = 3.5  # distances beyond so many standard deviations (from the median) are left out of a robust fit
@@ -92,12 +93,13 @@ def fit_primitive(
 
 def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primitive, Info] | None:
     """The answer at unit scale; None where not even a start was found."""
+    if kind == "plane" and method in ("best", "unbiased"):
+        return _flat(given, robust)
     start = _start(kind, given)
     for _ in range(ROUNDS if robust else 0):
         if start is None:
             break
-        chosen = _near(start, given)
-        given = given._replace(weights=chosen)
+        given = _near(start, given)
         start = _start(kind, given, start)
     if start is None:
         return None
@@ -108,10 +110,9 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
     if method == "least-squares":
         primitive, ok, covariance = _on_padded(_least_squares, start, given)
         return _answer(primitive, given, ok, None, covariance, starts.NUM_STEPS, method)
-    solved = _on_padded(_estimate, start, given)
-    if kind != "plane" and not (bool(solved.ok) and _is_plain(solved, given)):
-        start = _of_several(kind, start, given)
-        solved = _on_padded(_estimate, start, given)
+    solved = _solve(start, given)
+    if not (bool(solved.ok) and _is_plain(solved, given)):
+        solved = _of_several(kind, start, given)
     cone = _as_float64(solved.primitive)
     if isinstance(cone, Cone) and method == "best" and bool(solved.ok) and np.ptp(given.weights) == 0.0:
         likely = full_cone.fit(cone, np.asarray(frame_of(jnp.asarray(cone.axis))), float(solved.sigma), given.local)
@@ -121,6 +122,13 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
     return _answer(
         solved.primitive, given, solved.ok, solved.sigma, solved.covariance, solved.num_iterations, "unbiased"
     )
+
+
+def _flat(given: Segment, robust: bool) -> tuple[Primitive, Info]:
+    for _ in range(ROUNDS if robust else 0):
+        given = _near(planes.fit(given.local, given.weights).primitive, given)
+    found = planes.fit(given.local, given.weights)
+    return found.primitive, Info(found.ok, found.sigma, found.rms, found.covariance, given.anchor, 0, "unbiased")
 
 
 def _in_own_frame(likely: full_cone.FullCone) -> Float[np.ndarray, "6 6"]:
@@ -134,8 +142,7 @@ def _in_own_frame(likely: full_cone.FullCone) -> Float[np.ndarray, "6 6"]:
 def _answer(
     primitive: Primitive, given: Segment, ok: Any, sigma: Any, covariance: Any, num_iterations: Any, method: str
 ) -> tuple[Primitive, Info]:
-    distance = _on_padded(_distance, primitive, given)[: len(given.local)]
-    rms = float(np.sqrt(given.weights @ np.square(distance) / given.weights.sum()))
+    rms = spheres.rms(primitive, given) if isinstance(primitive, Sphere) else float(_on_padded(_rms, primitive, given))
     covariance = np.asarray(covariance)
     return _as_float64(primitive), Info(
         bool(ok), rms if sigma is None else float(sigma), rms, covariance, given.anchor, int(num_iterations), method
@@ -194,11 +201,18 @@ def _apex_error(cone: Cone, info: Info) -> float:
     return float(np.sqrt(max(np.trace(np.asarray(moved) @ info.covariance @ np.asarray(moved).T), 0.0)))
 
 
-def _near(primitive: Primitive, given: Segment) -> Float[np.ndarray, " n"]:
-    """The weights without those of points that lie off the primitive by more than the noise explains."""
+def _solve(start: Primitive, given: Segment) -> Estimate:
+    """The corrected equations on all points."""
+    if isinstance(start, Sphere):
+        return spheres.estimate(start, given.local, given.weights)
+    return _on_padded(_estimate, start, given)
+
+
+def _near(primitive: Primitive, given: Segment) -> Segment:
+    """The segment without weight on points that lie off the primitive by more than the noise explains."""
     distance = _on_padded(_distance, primitive, given)[: len(given.local)]
     scale = float(np.median(distance[given.weights > 0])) / NORMAL_SHARE
-    return given.weights * (distance <= OUTLIER * scale)
+    return given._replace(weights=given.weights * (distance <= OUTLIER * scale))
 
 
 def _on_padded(function: Any, primitive: Primitive, given: Segment) -> Any:
@@ -209,7 +223,9 @@ def _on_padded(function: Any, primitive: Primitive, given: Segment) -> Any:
 
 
 def _pad(array: np.ndarray, size: int) -> np.ndarray:
-    return np.pad(array, [(0, size - len(array))] + [(0, 0)] * (array.ndim - 1))
+    padded = np.zeros((size, *array.shape[1:]), array.dtype)
+    padded[: len(array)] = array
+    return padded
 
 
 def _as_float64(primitive: Primitive) -> Primitive:
@@ -218,15 +234,14 @@ def _as_float64(primitive: Primitive) -> Primitive:
 
 def _start(kind: str, given: Segment, start: Primitive | None = None) -> Primitive | None:
     """A primitive near the points by least squares on a sample of them, from the start if there is one."""
-    rows = np.flatnonzero(given.weights)
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
-    points, weights = _pad(given.local[rows], SAMPLE), _pad(given.weights[rows], SAMPLE)
+    rows = _some(given, SAMPLE)
+    points, weights = _padded(given, rows, SAMPLE)
     if start is not None:
         polished, ok = _polish(start, points, weights)
         if bool(ok):
             return _as_float64(polished)
     if given.normals is not None:
-        polished, ok = _from_normals(points, weights, _pad(given.normals[rows], SAMPLE), kind=kind)
+        polished, ok = _from_normals(points, weights, _pad(segments.unit(given.normals[rows]), SAMPLE), kind=kind)
         if bool(ok):
             return _as_float64(polished)
     found = starts.search(points, weights, kind=kind)
@@ -238,32 +253,58 @@ def _is_plain(solved: Estimate, given: Segment) -> bool:
     primitive, sigma = _as_float64(solved.primitive), float(solved.sigma)
     if sigma < NOISY or isinstance(primitive, Plane):
         return True
+    points = given.local[:: max(1, len(given.local) // MANY)]
     if isinstance(primitive, Sphere):
-        offset = given.local - primitive.center
+        offset = points - primitive.center
     else:
-        offset = given.local - (primitive.apex if isinstance(primitive, Cone) else primitive.center)
+        offset = points - (primitive.apex if isinstance(primitive, Cone) else primitive.center)
         offset = offset - (offset @ primitive.axis)[:, None] * primitive.axis
     distance = np.sqrt(np.einsum("nc,nc->n", offset, offset))
     one_sided = np.linalg.norm((offset / np.maximum(distance, 1e-9)[:, None]).mean(axis=0)) > 0.5
     return not one_sided and sigma < MAX_BLOB * float(distance.mean())
 
 
-def _of_several(kind: str, start: Primitive, given: Segment) -> Primitive:
-    """Of several starts the one whose solution leaves the least noise: the equations have more than one solution."""
+def _of_several(kind: str, start: Primitive, given: Segment) -> Estimate:
+    """Of the solutions from several starts the one that leaves the least noise: the equations have more than one."""
+    few, many = _some(given, SAMPLE), _some(given, MANY)
+    found = _several(start, *_padded(given, few, SAMPLE), *_padded(given, many, MANY), kind=kind)
+    sigma = np.where(np.isfinite(found.sigma) & (found.sigma > 0.0), found.sigma, np.inf)
+    first = int(np.argmin(np.where(found.ok, sigma, np.inf)))
+    solved = _solve(_nth(found.primitive, first) if found.ok[first] else start, given)
+    # On some of the points one may not be settled that leaves less noise; on all of them it may be.
+    if solved.ok and sigma.min() > SETTLED * solved.sigma:
+        return solved
+    guesses = _on_padded(_bent, solved.primitive, given)
+    for number in range(len(guesses[0])):
+        other = _solve(_nth(guesses, number), given)
+        if other.ok and 0.0 < other.sigma and (not solved.ok or other.sigma < solved.sigma):
+            return other
+    return solved
+
+
+def _nth(stack: Any, number: int) -> Primitive:
+    return _as_float64(jax.tree.map(lambda field: field[number], stack))
+
+
+def _some(given: Segment, most: int) -> Int[np.ndarray, " m"]:
+    """At most so many rows of weight, spread evenly over the segment."""
     rows = np.flatnonzero(given.weights)
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MANY)).astype(int)]
-    found = _several(start, _pad(given.local[rows], MANY), _pad(given.weights[rows], MANY), kind=kind)
-    sigma = np.where(found.ok & (found.sigma > 0.0), found.sigma, np.inf)
-    best = int(np.argmin(sigma))
-    return _as_float64(jax.tree.map(lambda field: field[best], found.primitive)) if np.isfinite(sigma[best]) else start
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+
+
+def _padded(given: Segment, rows: Int[np.ndarray, " m"], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The points and weights of some rows, and points without weight up to the size; SAMPLE if those are enough."""
+    size = SAMPLE if len(rows) <= SAMPLE else size
+    return _pad(given.local[rows], size), _pad(given.weights[rows], size)
 
 
 @partial(jax.jit, static_argnames="kind")
-def _several(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str) -> Estimate:
-    searched = starts.search(points[:: MANY // SAMPLE], weights[:: MANY // SAMPLE], kind=kind)
+def _several(
+    start: Any, few, of_few, points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str
+) -> Estimate:
     stacks = [
         jax.tree.map(lambda field: field[None], start),
-        searched.primitive,
+        starts.search(few, of_few, kind=kind).primitive,
         starts.bent(points, weights, kind=kind),
     ]
     guesses = jax.tree.map(lambda *fields: jnp.concatenate(fields), *stacks)
@@ -290,8 +331,19 @@ def _least_squares(start: Any, points: Float[Array, "n 3"], weights: Float[Array
 
 
 @jax.jit
+def _bent(like: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Any:
+    return starts.bent(points, weights, kind=like.kind)
+
+
+@jax.jit
 def _estimate(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Estimate:
     return estimate(start, points, weights)
+
+
+@jax.jit
+def _rms(primitive: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Float[Array, ""]:
+    distance = MODULES[primitive.kind].signed_distance(primitive, points)
+    return jnp.sqrt(jnp.sum(weights * distance * distance) / jnp.sum(weights))
 
 
 @jax.jit

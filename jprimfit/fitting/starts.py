@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float
 from jprimfit.fitting import kinds
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, effective_count, frame_of, moments
-from jprimfit.primitives.table import MODULES
+from jprimfit.primitives.table import MODULES, in_frame_of
+from jprimfit.programs import stored
 from jprimfit.types import Cone, Cylinder, Primitive, Sphere
 
 NUM_DIRECTIONS = 64  # on the half sphere, about 20 degrees apart
@@ -35,7 +36,7 @@ class Polished(NamedTuple):
     covariance: Float[Array, "p p"]  # of its step about the origin, if the noise is what the distances leave
 
 
-@partial(jax.jit, static_argnames="kind")
+@partial(stored, static_argnames="kind")
 def search(points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str) -> Polished:
     """The primitives of least squared distances near the best of many guesses, the best first (leading axis)."""
     module = MODULES[kind]
@@ -100,7 +101,8 @@ def polish(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array, 
     freedom = jnp.maximum(effective_count(weights) - module.NUM_FREEDOM, 1)
     sq_sigma = 2 * solution.cost / jnp.sum(weights) * effective_count(weights) / freedom
     inverse = jnp.linalg.pinv(solution.hessian, hermitian=True) * jnp.sum(weights) / effective_count(weights)
-    return Polished(primitive, ok, jnp.where(ok, solution.cost, jnp.inf), sq_sigma * inverse)
+    covariance = in_frame_of(primitive, solution.state, sq_sigma * inverse)
+    return Polished(primitive, ok, jnp.where(ok, solution.cost, jnp.inf), covariance)
 
 
 def _cost(primitive: Primitive, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Float[Array, ""]:

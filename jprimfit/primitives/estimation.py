@@ -22,15 +22,15 @@ from jaxtyping import Array, Bool, Float, Int
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, weighted_mean
 from jprimfit.primitives.common import Standard, standardise
-from jprimfit.primitives.table import of
+from jprimfit.primitives.table import in_frame_of, of
 from jprimfit.types import Primitive
 
 MAX_ITERATIONS = 30
-SAMPLE = 4_096  # points of the first iterations
-CHUNK = 1_024  # points at a time
+SAMPLES = (4_096, 16_384)  # points of the first iterations
+CHUNK = 512  # points at a time
 MAX_GROWTH = 4.0  # of the variance over the mean squared distance from the start
 MAX_STEP = 0.3  # of one iteration, in radians and rms sizes of the segment
-CONVERGED = 1e-2  # what the last step may leave, in standard errors
+CONVERGED = 2e-2  # what the last step may leave, in standard errors
 
 
 class Estimate(NamedTuple):
@@ -54,6 +54,7 @@ class _Equations(NamedTuple):
 class _State(NamedTuple):
     primitive: Primitive  # at unit scale
     variance: Float[Array, ""]
+    covariance: Float[Array, "p p"]  # of the step, as it was before the last iteration
     moved: Float[Array, ""]  # what the last iteration may have left, in standard errors
     iteration: Int[Array, ""]
 
@@ -67,14 +68,14 @@ def estimate(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array
     module, standard = of(start), standardise(points, weights)
     fixed = jax.lax.stop_gradient(standard)
     state = _solve(jax.lax.stop_gradient(_localised(start, fixed)), fixed)
-    equations = _equations(state.primitive, state.variance, fixed)
-    inverse, regular = _inverse(equations.jacobian)
+    _, regular = _inverse(_equations(state.primitive, state.variance, _sample(fixed, SAMPLES[0])).jacobian)
     change = _at_rest(state.primitive, state.variance, standard)
     solved = module.retract(state.primitive, change[:-1])
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves((solved, inverse))]))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in solved]))
     freedom = fixed.count - module.NUM_FREEDOM - 1
-    ok = regular & finite & (state.moved < CONVERGED) & (freedom > 0) & module.sound(solved, fixed.local, fixed.weights)
-    covariance = _propagated(inverse, equations)[:-1, :-1] * safe.divide(fixed.count, jnp.maximum(freedom, 1))
+    ok = regular & finite & (state.moved < CONVERGED) & (freedom > 0)
+    ok = ok & module.sound(solved, fixed.local, fixed.weights)
+    covariance = state.covariance * safe.divide(fixed.count, jnp.maximum(freedom, 1))
     units = fixed.scale ** jnp.asarray(module.STEP_UNITS, points.dtype)
     covariance = jnp.where(jnp.isfinite(covariance), units[:, None] * covariance * units[None, :], 0)
     found = _globalised(module.canonical(solved, weighted_mean(standard.local, standard.weights)), fixed)
@@ -106,15 +107,23 @@ def _at_rest_jvp(primals, tangents):
 def _solve(start: Primitive, standard: Standard) -> _State:
     """Newton's method, first on every so many points, because all of them only have to add the last digits."""
     first = _mean_square(start, standard)
-    state = _State(start, first, jnp.full_like(first, jnp.inf), jnp.zeros((), jnp.int32))
-    stride = len(standard.weights) // SAMPLE
-    if stride > 1:
-        sample = standard._replace(local=standard.local[::stride], weights=standard.weights[::stride])
-        found = _iterate(state, sample)
-        good = found.moved < CONVERGED
-        state = jax.tree.map(lambda new, old: jnp.where(good, new, old), found, state)
-        state = state._replace(moved=jnp.full_like(first, jnp.inf))
+    unsolved, nothing = jnp.full_like(first, jnp.inf), jnp.zeros((of(start).NUM_FREEDOM,) * 2, first.dtype)
+    state = _State(start, first, nothing, unsolved, jnp.zeros((), jnp.int32))
+    for size in SAMPLES:
+        if len(standard.weights) >= 2 * size:
+            found = _iterate(state, _sample(standard, size))
+            state = _chosen(found.moved < CONVERGED, found, state)._replace(moved=unsolved)
     return _iterate(state, standard)
+
+
+def _chosen(condition: Bool[Array, ""], this: _State, other: _State) -> _State:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), this, other)
+
+
+def _sample(standard: Standard, size: int) -> Standard:
+    """Every so many points, so that about that many are left."""
+    stride = max(1, len(standard.weights) // size)
+    return standard._replace(local=standard.local[::stride], weights=standard.weights[::stride])
 
 
 def _iterate(first: _State, standard: Standard) -> _State:
@@ -127,7 +136,8 @@ def _iterate(first: _State, standard: Standard) -> _State:
         change = jnp.where(jnp.all(jnp.isfinite(change)), change, 0)
         # Where the points fit exactly the standard errors are 0, and what is left of a step is rounding.
         rounding = 100 * jnp.finfo(change.dtype).eps * jnp.sum(jnp.abs(inverse), axis=1)
-        errors = safe.sqrt(jnp.diagonal(_propagated(inverse, equations))) + rounding / CONVERGED
+        covariance = _propagated(inverse, equations)
+        errors = safe.sqrt(jnp.diagonal(covariance)) + rounding / CONVERGED
         length = jnp.max(jnp.abs(change[:-1]))
         # Of a step that is small against the segment the next one is the square.
         moved = jnp.max(jnp.abs(change[:-1]) / errors[:-1]) * jnp.minimum(1, 3 * length)
@@ -137,7 +147,8 @@ def _iterate(first: _State, standard: Standard) -> _State:
         change = change * jnp.minimum(1, safe.divide(jnp.full_like(length, MAX_STEP), length))
         primitive = module.canonical(module.retract(state.primitive, change[:-1]), origin)
         variance = jnp.clip(state.variance + change[-1], 0, MAX_GROWTH * first.variance)
-        return _State(primitive, variance, moved, state.iteration + 1)
+        covariance = in_frame_of(primitive, state.primitive, covariance[:-1, :-1])
+        return _State(primitive, variance, covariance, moved, state.iteration + 1)
 
     def unfinished(state: _State) -> Bool[Array, ""]:
         return (state.iteration < MAX_ITERATIONS) & ~(state.moved < CONVERGED)

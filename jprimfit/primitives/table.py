@@ -8,10 +8,12 @@ is part of its type, so the dispatch happens while tracing and costs nothing in 
 
 from types import ModuleType
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jprimfit.geometry.linalg import HIGHEST, frame_of
 from jprimfit.primitives import cone, cylinder, plane, sphere
-from jprimfit.types import Primitive
+from jprimfit.types import Plane, Primitive, Sphere
 
 KINDS = ("plane", "sphere", "cylinder", "cone")
 TYPE_ID = {"plane": 0, "sphere": 1, "cylinder": 2, "cone": 3}
@@ -51,3 +53,18 @@ def transform(
 ) -> Primitive:
     """The primitive after x -> scale * R x + translation, of the same kind and in its gauge."""
     return of(primitive).transform(primitive, rotation, translation, scale)
+
+
+def in_frame_of(new: Primitive, old: Primitive, covariance: Float[Array, "p p"]) -> Float[Array, "p p"]:
+    """The covariance of a step from `old` in the coordinates of one from `new`, hardly another surface.
+
+    The axes are nearly the same line, yet they may point opposite ways, and their frames (linalg.frame_of) jump.
+    """
+    if isinstance(old, Sphere) or isinstance(new, Sphere):
+        return covariance
+    first, second = (frame_of(x.normal if isinstance(x, Plane) else x.axis) for x in (old, new))
+    across = jnp.matmul(second[:2], first[:2].T, precision=HIGHEST)
+    side = jnp.sign(jnp.dot(first[2], second[2], precision=HIGHEST))
+    turn = jnp.eye(len(covariance), dtype=covariance.dtype).at[:2, :2].set(side * across)
+    turn = turn.at[2, 2].set(side) if isinstance(old, Plane) else turn.at[2:4, 2:4].set(across)
+    return jnp.matmul(jnp.matmul(turn, covariance, precision=HIGHEST), turn.T, precision=HIGHEST)

@@ -46,6 +46,7 @@ def errors(points):
     return info.method, np.abs(patches.fields(found, CONE.truth) - patches.fields(CONE.truth, CONE.truth)).sum()
 
 
+@pytest.mark.slow
 def test_it_is_used_for_an_even_cone_and_only_there():
     rng = np.random.default_rng(3)
     clean = CONE.draw(rng, 6000)

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from jprimfit.fitting import growing
+from jprimfit.fitting.advice import Advice
 from jprimfit.fitting.growing import grow_regions, tolerance
 from jprimfit.fitting.local import describe
+from jprimfit.primitives.table import KINDS
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +91,42 @@ def test_measured_normals_decide_which_surface_a_point_is_on(parts):
 def test_a_few_points_of_no_surface_give_no_region():
     points = np.random.default_rng(1).normal(size=(7, 3))
     assert grow_regions(points, describe(points)) == []
+
+
+def hexagon_or_cylinder(sides):
+    """Walls of a pocket under noise, as one patch that a network takes for a cylinder, and the advice to do so."""
+    rng = np.random.default_rng(0)
+    turn, height = rng.uniform(0, 2 * np.pi, 900), rng.uniform(-0.25, 0.25, 900)
+    offset = (turn + np.pi / sides) % (2 * np.pi / sides) - np.pi / sides if sides else np.zeros(900)
+    radius = 0.2 * (np.cos(np.pi / sides) / np.cos(offset) if sides else 1.0)
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    points += 0.006 * rng.normal(size=points.shape)
+    log_types = np.full((900, 4), np.log(0.02))
+    log_types[:, KINDS.index("cylinder")] = np.log(0.94)
+    return points, Advice((np.arange(900),), log_types, None)
+
+
+def test_a_hexagon_that_a_network_takes_for_a_cylinder_is_not_one():
+    points, advice = hexagon_or_cylinder(0)
+    (wall,) = grow_regions(points, describe(points), advice=advice)
+    assert wall.primitive.kind == "cylinder" and len(wall.rows) > 880
+    points, advice = hexagon_or_cylinder(6)
+    regions = grow_regions(points, describe(points), advice=advice)
+    assert sum(region.primitive.kind == "plane" for region in regions) >= 3
+    assert max(len(region.rows) for region in regions) < 450  # the cylinder that the advice asks for holds all 900
+
+
+@pytest.mark.parametrize(("opening", "kind"), [(0.0, "cylinder"), (0.15, "cone")])
+def test_a_cone_that_hardly_opens_is_a_cylinder(opening, kind):
+    rng = np.random.default_rng(0)
+    turn, height = rng.uniform(0, 2 * np.pi, 900), rng.uniform(-0.25, 0.25, 900)
+    radius = 0.2 + np.tan(opening) * height
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1) + 0.002 * rng.normal(
+        size=(900, 3)
+    )
+    state = growing._start(points, describe(points), np.zeros(900, bool), np.zeros((900, 4)))
+    cone = growing._refitted(state, "cone", np.arange(900))
+    region = growing._upright(state, growing.Region(np.arange(900), cone.primitive, 1.0))
+    assert region.primitive.kind == kind
+    if kind == "cylinder":
+        assert region.primitive.radius == pytest.approx(0.2, abs=1e-3) and region.evidence > 100

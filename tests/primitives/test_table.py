@@ -365,3 +365,33 @@ def test_canonical_keeps_the_surface_and_forgets_the_gauge(x64, tolerance, kind)
     np.testing.assert_allclose(distance(once, points), distance(other, points), atol=tolerance["float64"])
     discrepancy = module.discrepancy(once, other)
     np.testing.assert_allclose(jnp.stack(discrepancy), 0, atol=tolerance["float64"])
+
+
+NEAR_A_JUMP = np.array([[0.5, 0.5 - 1e-9, 1.0], [0.5, 0.5 + 1e-9, 1.0]]) / np.sqrt(1.5)
+
+
+@pytest.mark.parametrize(
+    "kind,sign", [("plane", 1), ("plane", -1), ("cylinder", 1), ("cylinder", -1), ("cone", 1), ("sphere", 1)]
+)
+def test_a_covariance_follows_its_axis_into_another_frame(x64, kind, sign):
+    # One surface under two names: its axis turned round, or moved by nothing across a jump of frame_of.
+    old, new = (
+        {
+            "plane": Plane(axis, turn * jnp.array(0.3)),
+            "sphere": Sphere(jnp.array([0.3, 0.1, 0.2]), jnp.array(1.5)),
+            "cylinder": Cylinder(axis, jnp.array([0.3, -0.1, 0.2]), jnp.array(0.7)),
+            "cone": Cone(axis, -2 * axis, jnp.array(0.4)),
+        }[kind]
+        for axis, turn in ((jnp.asarray(NEAR_A_JUMP[0]), 1), (sign * jnp.asarray(NEAR_A_JUMP[1]), sign))
+    )
+    rng, module = np.random.default_rng(0), table.MODULES[kind]
+    half, points = rng.normal(size=(module.NUM_FREEDOM,) * 2), jnp.asarray(rng.normal(size=(7, 3)))
+    covariance = jnp.asarray(half @ half.T)
+
+    def of_distances(primitive, covariance):
+        at = jnp.zeros(module.NUM_FREEDOM)
+        slope = jax.jacfwd(lambda step: module.distance(module.retract(primitive, step), points))(at)
+        return slope @ covariance @ slope.T
+
+    found = of_distances(new, table.in_frame_of(new, old, covariance))
+    np.testing.assert_allclose(found, of_distances(old, covariance), atol=1e-6)
