@@ -11,17 +11,22 @@ import json
 import os
 import re
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int32
+from jaxtyping import Float, Int, Int32
 
 from jprimfit import __version__
 from jprimfit.io.files import replacing
 from jprimfit.io.numpy_files import npz_bytes
 from jprimfit.io.text_table import primitives_table
-from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
+from jprimfit.types import Cone, Cylinder, Feature, Plane, Primitive, Sphere
+
+if TYPE_CHECKING:  # with scipy, which a stored answer is opened without
+    from jprimfit.cad.patches import Patch
 
 FORMAT = "jprimfit scene"
 VERSION = 1
@@ -58,6 +63,47 @@ class Scene:
         count = self.counts()
         return np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0))
 
+    @cached_property
+    def signed_distances(self) -> Float[np.ndarray, "n"]:
+        """Length from its primitive to each point, NaN where the label is -1.
+
+        Positive outside a sphere, cylinder or cone, and on the side of a plane that its normal points to. The sign says
+        nothing of the material: a point that stands out of the wall of a hole, into the hole, is negative.
+        """
+        from jprimfit.cad import charts
+
+        signed = np.full(len(self.points), np.nan)
+        for primitive, rows in zip(self.primitives, self.rows_of, strict=True):
+            signed[rows] = charts.signed_distances(primitive, self.points[rows])
+        return signed
+
+    @cached_property
+    def rows_of(self) -> tuple[Int[np.ndarray, "_"], ...]:
+        """For each primitive the rows of its points, ascending."""
+        order = np.argsort(self.labels, kind="stable")
+        bounds = np.searchsorted(self.labels[order], np.arange(len(self.primitives) + 1))
+        return tuple(order[start:end] for start, end in pairwise(bounds))
+
+    @cached_property
+    def patches(self) -> "tuple[Patch, ...]":
+        """Each primitive trimmed to its points, as a triangle mesh; computed when first asked for."""
+        from jprimfit.cad.patches import patch
+
+        return tuple(patch(p, self.points[rows]) for p, rows in zip(self.primitives, self.rows_of, strict=True))
+
+    @cached_property
+    def features(self) -> tuple[Feature, ...]:
+        """What a drawing says of each primitive: extents, hole or boss, deviations, uncertainties (types.Feature).
+
+        standard_errors are one standard deviation, from the scatter of the points: "direction" (radians, of normal or
+        axis), "offset" of a plane at the middle of its points, "position" (of the center, across the axis for a
+        cylinder; of a cone's apex), "radius", "half_angle"; inf where the points do not tell. Computed when first
+        asked for.
+        """
+        from jprimfit.cad.features import features
+
+        return features(self.primitives, self.points, self.rows_of, self.patches)
+
     def extent(self) -> float:
         """Longest side of the axis-aligned box around the finite points; 0 if there are none."""
         finite = self.points[np.all(np.isfinite(self.points), axis=1)]
@@ -65,8 +111,9 @@ class Scene:
 
     def table(self, *, max_rows: int | None = None) -> str:
         """The primitives as text, the largest if a number is given; lengths in the input's unit, angles in degrees."""
-        measured = (self.counts(), self.rms_distances(), self.surface_of)
-        return primitives_table(self.primitives, *measured, extent=self.extent(), max_rows=max_rows)
+        return primitives_table(
+            self.primitives, self.features, self.surface_of, extent=self.extent(), max_rows=max_rows
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `path` (scene.json) and the .npz beside it, each whole; a stop between the two shows on loading."""
@@ -103,7 +150,10 @@ def _document(scene: Scene, arrays_name: str, checksum: str) -> dict[str, Any]:
     for i, primitive in enumerate(scene.primitives):
         parameters = {name: _plain(value) for name, value in primitive._asdict().items()}
         measured = {"num_points": int(counts[i]), "rms_distance": _plain(rms[i])}
-        primitives.append({"kind": primitive.kind, **parameters, "surface": int(scene.surface_of[i]), **measured})
+        feature = _feature(scene.features[i])
+        primitives.append(
+            {"kind": primitive.kind, **parameters, "surface": int(scene.surface_of[i]), **measured, "feature": feature}
+        )
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -114,6 +164,16 @@ def _document(scene: Scene, arrays_name: str, checksum: str) -> dict[str, Any]:
         "report": _plain(scene.report),
         "arrays": {"file": arrays_name, "sha256": checksum},
     }
+
+
+def _feature(feature: Feature) -> dict[str, Any]:
+    """The fields of a feature that its kind has, and those that are given beside it left out."""
+    loops = [
+        {"corners": _plain(loop.corners)} if loop.radius is None else {"center": loop.center, "radius": loop.radius}
+        for loop in feature.outline
+    ]
+    entry = {k: v for k, v in feature._asdict().items() if v is not None and k not in ("num_points", "rms", "outline")}
+    return _plain({**entry, "outline": loops} if loops else entry)
 
 
 def _plain(value: Any) -> Any:

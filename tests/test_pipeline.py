@@ -236,6 +236,58 @@ def test_a_large_scan_is_thinned_for_the_segmentation_and_labelled_whole(clean, 
     assert (surfaces(scene) == TRUTH).mean() > 0.98
 
 
+def test_an_answer_given_back_as_labels_is_the_same_answer(noisy):
+    again = fit(NOISY, labels=noisy.labels)
+    np.testing.assert_array_equal(again.labels, noisy.labels)
+    assert [p.kind for p in again.primitives] == [p.kind for p in noisy.primitives]
+    check_contract(again, len(POINTS), 2e-6)
+    check_parameters(again, 0.01)
+    assert again.report["settings"]["labels"] is True and again.report["network"] is None
+
+
+def test_labels_of_copies_and_of_rows_that_are_no_points():
+    points = np.concatenate([POINTS, POINTS[:50], np.full((2, 3), np.nan)])
+    labels = np.concatenate([TRUTH, TRUTH[:50], [0, -7]])
+    scene = fit(points, labels=labels)
+    np.testing.assert_array_equal(scene.labels[:-2], labels[:-2])
+    assert scene.labels[-2:].tolist() == [-1, -1] and [p.kind for p in scene.primitives] == list(TRUE_KINDS)
+
+
+def test_only_the_kinds_that_are_asked_for(clean):
+    scene = fit(POINTS, model=None, kinds=["cylinder", "plane"])
+    assert {p.kind for p in scene.primitives} == {"plane", "cylinder"}
+    one = by_kind(clean)["cylinder"].radius
+    assert min(abs(p.radius - one) for p in scene.primitives if p.kind == "cylinder") < 1e-4
+
+
+def test_a_tolerance_and_a_least_number_of_points():
+    ripples = POINTS + 0.02 * np.sin(40 * POINTS[:, :1]) * NORMALS
+    scene = fit(10.0 * ripples, model=None, tolerance=0.4, min_points=200)
+    assert scene.noise == pytest.approx(0.4 / 3) and scene.counts().min() >= 200
+    assert scene.report["settings"]["tolerance"] == 0.4 and scene.report["settings"]["min_points"] == 200
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"kinds": ["torus"]}, "kinds is .*torus"),
+        ({"kinds": []}, "kinds is"),
+        ({"tolerance": 0.0}, "tolerance is 0.0"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
+        ({"min_points": 0}, "min_points is 0"),
+        ({"labels": [1, 2]}, "labels has shape"),
+        ({"labels": np.full(len(POINTS), 0.5)}, "labels has shape"),
+        ({"labels": np.full(len(POINTS), -1)}, "names no segment"),
+        ({"labels": TRUTH, "kind_of": {9: "plane"}}, "label 9"),
+        ({"labels": TRUTH, "kind_of": {0: "torus"}}, "'torus'"),
+        ({"kind_of": {0: "plane"}}, "without labels"),
+    ],
+)
+def test_wishes_that_mean_nothing_are_refused(words, message):
+    with pytest.raises(ValueError, match=message):
+        fit(POINTS, **words)
+
+
 def test_progress_names_the_stages_in_order():
     calls = []
     fit(POINTS[TRUTH == 3], progress=lambda *call: calls.append(call))

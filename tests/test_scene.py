@@ -90,8 +90,29 @@ def test_counts_and_distances_are_those_of_the_labels():
 
 def test_the_table_has_a_line_per_primitive_and_degrees():
     lines = _scene().table().splitlines()
-    assert len(lines) == 7 and "surface" in lines[0]
-    assert lines[5].split()[:3] == ["3", "cone", "3"] and "half-angle 17.189 deg" in lines[5]
+    assert lines[0].split()[:4] == ["#", "kind", "points", "size"] and "* 4 plane: on the surface of #0" in lines[-1]
+    assert lines[5].split()[:2] == ["3*", "cone"] and "17.19 +-" in lines[5]
+
+
+def test_signed_distances_are_positive_outside_and_on_the_side_of_the_normal():
+    scene = _scene()
+    signed = scene.signed_distances
+    np.testing.assert_array_equal(np.isnan(signed), scene.labels == -1)
+    sphere, plane = scene.labels == 1, scene.labels == 0
+    expected = np.linalg.norm(scene.points[sphere] - scene.primitives[1].center, axis=1) - 2.5
+    np.testing.assert_allclose(signed[sphere], expected, rtol=1e-9)
+    np.testing.assert_allclose(signed[plane], scene.points[plane] @ THIRD - 1 / 3, atol=1e-12)
+
+
+def test_a_scene_without_features_is_read_as_before(tmp_path):
+    scene = _scene()
+    scene.save(tmp_path / "scene.json")
+    document = json.loads((tmp_path / "scene.json").read_text())
+    assert all(entry.pop("feature")["area"] >= 0 for entry in document["primitives"])
+    (tmp_path / "scene.json").write_text(json.dumps(document))
+    again = Scene.load(tmp_path / "scene.json")
+    assert [f.num_points for f in again.features] == scene.counts().tolist()
+    np.testing.assert_array_equal(again.features[0].position, scene.features[0].position)
 
 
 def test_renamed_files_and_other_names_are_found(tmp_path):
@@ -171,10 +192,20 @@ def _conforms(value, schema, root):
         return sum(_conforms(value, option, root) for option in schema["oneOf"]) == 1
     if "const" in schema:
         return value == schema["const"]
-    types = {"object": dict, "array": list, "string": str, "integer": int, "number": int | float, "null": type(None)}
+    types = {
+        "object": dict,
+        "array": list,
+        "boolean": bool,
+        "string": str,
+        "integer": int,
+        "number": int | float,
+        "null": type(None),
+    }
     wanted = schema.get("type", list(types))
     wanted = wanted if isinstance(wanted, list) else [wanted]
-    if isinstance(value, bool) or not any(isinstance(value, types[name]) for name in wanted):
+    if isinstance(value, bool):
+        return "boolean" in wanted
+    if not any(isinstance(value, types[name]) for name in wanted):
         return False
     if isinstance(value, dict):
         properties = schema.get("properties", {})

@@ -19,6 +19,23 @@ def cache_folder() -> Path:
     return (Path(base) if base and Path(base).is_absolute() else Path("~/.cache").expanduser()) / "jprimfit"
 
 
+def use_programs() -> bool:
+    """Lets the programs of a fit be kept in `cache_folder()/programs`; True where it has those of this version.
+
+    Where they cannot, and where the user set up a cache for JAX, that of `use_compilation_cache` serves instead: JAX
+    cannot hand on whole what it took from its own cache.
+    """
+    import jax
+
+    from jprimfit import programs
+
+    if not jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
+        with contextlib.suppress(OSError, RuntimeError):
+            return programs.keep_in(cache_folder() / "programs")
+    use_compilation_cache()
+    return True
+
+
 def use_compilation_cache() -> Path | None:
     """Lets JAX keep compiled programs in `cache_folder()/xla`, so that a second run starts fast; returns that folder.
 

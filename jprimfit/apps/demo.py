@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jprimfit.apps.outputs import check_target
 
     check_target(arguments.out)
-    options = argparse.Namespace(model="default", seed=0, filter="auto", smooth="off")
+    options = argparse.Namespace(model="default", seed=0, filter="auto", smooth="off", narrowed={})
     outcome = fit.fit_file(ASSETS / "demo.ply", arguments.out, options, say=fit._progress)
     print(fit.answer_text(outcome))
     print("\ntruth and answer; the last column says how far they are apart\n")

@@ -63,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--table", choices=["parameters", "1", "timing"], help="a table of the paper; built: parameters")
     add("--datasets", type=int, default=100, metavar="N", help="table parameters: data sets per cell (default 100)")
     add("--block", choices=BLOCKS, help="table parameters: only this block (default all)")
+    add("--patch", metavar="WORDS", help="table parameters: only patches whose name holds these words (default all)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -233,6 +234,10 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     from jprimfit.evaluation import parameters
 
     chosen = [cell for cell in parameters.cells() if arguments.block in (None, cell.block.replace(" ", "-"))]
+    names = dict.fromkeys(cell.patch.name for cell in chosen)
+    chosen = [cell for cell in chosen if (arguments.patch or "") in cell.patch.name]
+    if not chosen:
+        raise ValueError(f"--patch {arguments.patch!r} is in no name of a patch; there are {'; '.join(names)}.")
     total = sum(parameters.count_of(cell, arguments.datasets) for cell in chosen)
     with tqdm(total=total, unit="data set", mininterval=0.5, file=sys.stderr) as bar:
         rows = parameters.run(chosen, arguments.datasets, initializer=use_compilation_cache, progress=bar.update)

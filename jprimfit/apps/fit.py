@@ -5,6 +5,7 @@ scan that cannot be used is named in one sentence, the others go on, and the exi
 """
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,14 +20,18 @@ EXAMPLES = """examples:
   jprimfit fit scan.ply --out out/scan            one scan, files in out/scan
   jprimfit fit a.xyz b.stl c.npz --out out        several, files in out/a, out/b, out/c
   jprimfit fit noisy.ply --out out --filter on    remove outliers whether or not there seem to be any
+  jprimfit fit scan.ply --out out --tolerance 0.05 --min-points 50 --kinds plane,cylinder
+  jprimfit fit scan.ply --labels out/scan/scene.json --merge 3,7 --retype 5=cone --out out/better
+                                                  corrected by hand: segments stay, their surfaces are fitted anew
 
 formats:
   PLY, XYZ/CSV/TXT/ASC/PTS, NPY/NPZ, OBJ, STL; with pip install 'jprimfit[formats]' also PCD, LAS/LAZ, E57.
   A mesh is sampled at 65,536 points. Any unit, any position; the answer is in those of the scan.
 
 files in DIR:
-  scene.json + scene.npz   everything, for jprimfit.Scene.load     segments.ply   points coloured by primitive
-  surfaces.obj + .mtl      the trimmed surfaces                    report.png     scan, segments and surfaces
+  scene.json + scene.npz   everything, for jprimfit.Scene.load     segments.ply     points coloured by primitive
+  features.csv             size, extent, position and +- of each   deviations.ply   points coloured by deviation
+  surfaces.obj + .mtl      the trimmed surfaces                    report.png       scan, segments and surfaces
   surfaces.step            the same for CAD, with pip install 'jprimfit[cad]'
 """
 
@@ -56,6 +61,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network = parser.add_mutually_exclusive_group()
     network.add_argument("--no-network", action="store_true", help="by geometry alone: region growing")
     network.add_argument("--model", metavar="NAME", help="network, by name or folder (default: default)")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="LENGTH",
+        help="how far the scan may lie from its surfaces, in its unit (default: three times the noise, estimated)",
+    )
+    parser.add_argument("--min-points", type=int, default=6, metavar="N", help="of a face (default 6)")
+    parser.add_argument("--kinds", metavar="KIND,...", help="kinds that are looked for (default: all four)")
+    corrected = parser.add_argument_group("segments corrected by hand (of one scan)")
+    corrected.add_argument(
+        "--labels", type=Path, metavar="FILE", help="segment of each point: scene.json, PLY, NPY, text"
+    )
+    corrected.add_argument("--merge", action="append", default=[], metavar="A,B", help="segments that are one")
+    corrected.add_argument("--retype", action="append", default=[], metavar="A=KIND", help="the kind of a segment")
+    parser.add_argument("--device", choices=["cpu", "gpu"], help="default: a GPU where JAX finds one")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random choices (default 0)")
     parser.add_argument("--quiet", action="store_true", help="print nothing but complaints")
 
@@ -65,8 +85,10 @@ def run(arguments: argparse.Namespace) -> int:
     from jprimfit.apps.outputs import check_target
 
     check_target(arguments.out)
+    _choose_device(arguments.device)
     say = _silent if arguments.quiet else _progress
     arguments.model = _model(arguments)
+    arguments.narrowed = _narrowed(arguments)
     if len(arguments.inputs) == 1:
         outcome = fit_file(arguments.inputs[0], arguments.out, arguments, say=say)
         if not arguments.quiet:
@@ -92,16 +114,18 @@ def run(arguments: argparse.Namespace) -> int:
 def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Callable[[str], None]) -> Outcome:
     """Reads a scan, fits it and writes the files of the answer; ValueError of one sentence that names the scan.
 
-    options: model as in pipeline.fit, and seed, filter and smooth as in the command's arguments.
+    options: model as in pipeline.fit, seed, filter and smooth as in the command's arguments, and in narrowed further
+    words of pipeline.fit.
     """
     begin = time.perf_counter()
-    from jprimfit.apps.cache import use_compilation_cache
+    from jprimfit.apps.cache import use_programs
     from jprimfit.apps.outputs import write_outputs
     from jprimfit.io.clouds import read_cloud
 
     cloud = read_cloud(scan)
     say(f"{scan}: {len(cloud.points):,} point{'s' if len(cloud.points) != 1 else ''}")
-    use_compilation_cache()
+    if not use_programs():
+        say(f"{scan}: compiling, which is kept for later scans")
     from jprimfit import pipeline
 
     try:
@@ -113,6 +137,7 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
             filter=options.filter,
             smooth=options.smooth == "on",
             progress=_stages(scan, say),
+            **options.narrowed,
         )
     except ValueError as error:
         raise ValueError(f"{scan}: {error}") from error
@@ -120,6 +145,42 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
     for note in write_outputs(scene, folder, title=scan.name):
         say(f"{scan}: {note}")
     return Outcome(scan, folder, scene, time.perf_counter() - begin, "")
+
+
+def _choose_device(device: str | None) -> None:
+    """Before JAX is loaded; a GPU's memory is taken as it is needed, not most of it at once."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    if device is None:
+        return
+    import jax
+
+    jax.config.update("jax_platforms", {"cpu": "cpu", "gpu": "cuda"}[device])
+    try:
+        jax.devices()
+    except RuntimeError:
+        raise ValueError(
+            "--device gpu: JAX finds no GPU here; leave the option out, or install jprimfit[cuda]."
+        ) from None
+
+
+def _narrowed(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the user asks of pipeline.fit beyond the default."""
+    found: dict[str, Any] = {"min_points": arguments.min_points}
+    if arguments.tolerance is not None:
+        found["tolerance"] = arguments.tolerance
+    if arguments.kinds is not None:
+        found["kinds"] = [kind.strip() for kind in arguments.kinds.split(",")]
+    if arguments.labels is None:
+        if arguments.merge or arguments.retype:
+            raise ValueError("--merge and --retype change segments: name them with --labels, such as out/scene.json.")
+        return found
+    if len(arguments.inputs) > 1:
+        raise ValueError(f"--labels are those of one scan, and {len(arguments.inputs)} are given: fit them one by one.")
+    from jprimfit.apps import labels
+
+    found["labels"] = labels.merged(labels.read_labels(arguments.labels), arguments.merge)
+    found["kind_of"] = labels.retyped(arguments.retype)
+    return found
 
 
 def _model(arguments: argparse.Namespace) -> "str | Model | None":

@@ -17,20 +17,24 @@ import numpy as np
 if TYPE_CHECKING:
     from jprimfit.scene import Scene
 
-NAMES = ("segments.ply", "surfaces.mtl", "surfaces.obj", "surfaces.step", "report.png", "scene.npz", "scene.json")
+NAMES = (
+    *("segments.ply", "deviations.ply", "features.csv", "surfaces.mtl", "surfaces.obj", "surfaces.step", "report.png"),
+    *("scene.npz", "scene.json"),
+)
+FULL_COLOR = 3.0  # deviation of full colour in deviations.ply, in root mean squares of all deviations
 MAX_NAMES = 5
 
 
 def write_outputs(scene: "Scene", folder: Path, *, title: str = "") -> list[str]:
     """Writes the answer into `folder`, whole or not at all; says what a file had to leave out."""
     from jprimfit.cad import step
-    from jprimfit.cad.patches import patch
     from jprimfit.io import obj, palette, ply, report
+    from jprimfit.io.feature_table import write_features
     from jprimfit.primitives.table import KINDS
 
     kinds = [primitive.kind for primitive in scene.primitives]
     type_ids = np.array([*(KINDS.index(kind) for kind in kinds), -1], np.int32)  # label -1 takes the last
-    patches = [patch(primitive, scene.points[scene.labels == i]) for i, primitive in enumerate(scene.primitives)]
+    patches = scene.patches
     shown = [i for i, surface in enumerate(patches) if len(surface.faces)]
     names, colors = scene.names(), palette.colors(len(kinds))
     with staged(folder) as place:
@@ -39,6 +43,8 @@ def write_outputs(scene: "Scene", folder: Path, *, title: str = "") -> list[str]
         ply.write_segments(
             place / "segments.ply", scene.points, scene.normals, point_colors, scene.labels, type_ids[scene.labels]
         )
+        _write_deviations(place / "deviations.ply", scene)
+        write_features(place / "features.csv", names, scene.primitives, scene.features, scene.surface_of)
         obj.write_surfaces(
             place / "surfaces.obj", [names[i] for i in shown], [patches[i] for i in shown], colors[shown]
         )
@@ -49,6 +55,16 @@ def write_outputs(scene: "Scene", folder: Path, *, title: str = "") -> list[str]
         "surfaces.step": ("no valid face came of it", [i for i in left_out if i in shown]),
     }
     return [_note(file, why, [names[i] for i in which]) for file, (why, which) in lost.items() if which]
+
+
+def _write_deviations(path: Path, scene: "Scene") -> None:
+    from jprimfit.io import palette, ply
+
+    deviations = scene.signed_distances
+    known = deviations[np.isfinite(deviations)]
+    scale = FULL_COLOR * float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+    colors = palette.colors_of_deviations(deviations, scale=scale)
+    ply.write_deviations(path, scene.points, colors, deviations, scene.labels, scale=scale)
 
 
 def _note(file: str, why: str, names: Sequence[str]) -> str:

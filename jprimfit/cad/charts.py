@@ -98,6 +98,21 @@ def normals(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float64[n
     return outward
 
 
+def signed_distances(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n"]:
+    """Length from the surface to each point, positive where `normals` point: outside, for a plane on its normal's side.
+
+    Whether the material is inside or outside plays no part. Points behind a cone's apex are outside.
+    """
+    points = np.asarray(points, np.float64)
+    foot = feet(primitive, points)
+    offset = points - foot
+    along = np.sum(offset * normals(primitive, points), axis=1)
+    if isinstance(primitive, Cone):
+        behind = np.all(foot == np.asarray(primitive.apex, np.float64)[None, :], axis=1)
+        along[behind] = np.sqrt(np.sum(offset[behind] ** 2, axis=1))
+    return along
+
+
 def edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
     """The undirected edges of triangles, and which of them each face's edges 01, 12, 20 are."""
     pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).astype(np.int64)

@@ -114,18 +114,23 @@ def components(patch: Patch) -> list[Patch]:
     return pieces
 
 
+def boundary_edges(patch: Patch) -> Int[np.ndarray, "e 2"]:
+    """The directed edges of one face only, the surface on their left seen from where the normals point to."""
+    start = patch.faces.astype(np.int64)
+    edges = np.stack([start, np.roll(start, -1, axis=1)], axis=2).reshape(-1, 2)
+    low, high = edges.min(axis=1), edges.max(axis=1)
+    _, inverse, count = np.unique(low * len(patch.vertices) + high, return_inverse=True, return_counts=True)
+    return edges[count[inverse.ravel()] == 1]
+
+
 def boundary_loops(patch: Patch) -> list[Int[np.ndarray, "k"]]:
     """Closed chains of boundary vertices (rows of patch.vertices), the surface on their left seen from outside.
 
     Outer outlines turn counter-clockwise about the normals, holes clockwise. Two chains that touch in one vertex are
     separated there.
     """
-    edges = np.concatenate([patch.faces[:, [0, 1]], patch.faces[:, [1, 2]], patch.faces[:, [2, 0]]])
-    num_vertices = len(patch.vertices)
-    key = edges.astype(np.int64) @ np.array([num_vertices, 1])
-    twin = edges[:, ::-1].astype(np.int64) @ np.array([num_vertices, 1])
     following: dict[int, list[int]] = {}
-    for start, end in edges[~np.isin(key, twin)].tolist():
+    for start, end in boundary_edges(patch).tolist():
         following.setdefault(start, []).append(end)
     loops = []
     while following:

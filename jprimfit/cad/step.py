@@ -1,4 +1,4 @@
-"""STEP files (ISO 10303-21) of trimmed primitives, through OpenCASCADE; the only file that imports OCP, when used.
+"""STEP files (ISO 10303-21) of trimmed primitives, through OpenCASCADE, imported when used; step_reader.py reads them.
 
 Every connected piece of a patch becomes one face on the exact surface, named "kind number". How a face is trimmed:
 planes by their outlines, holes included, straight pieces and circles to within about two point spacings;
@@ -26,6 +26,7 @@ from jprimfit.cad import charts, outlines, patches
 from jprimfit.types import Cylinder, Plane, Primitive, Sphere
 
 TOLERANCE = 0.8  # of outlines, in edges of the patch: about a cell of its occupancy
+NOT_INSTALLED = "STEP files need OpenCASCADE, which is not installed: run pip install 'jprimfit[cad]'."
 GAP = 2.0  # edges without a vertex that make an opening in a turn
 
 
@@ -60,7 +61,7 @@ def write_step(
         ValueError: OpenCASCADE is not installed, the numbers of primitives and patches differ, or it cannot write.
     """
     if not available():
-        raise ValueError("STEP files need OpenCASCADE, which is not installed: run pip install 'jprimfit[cad]'.")
+        raise ValueError(NOT_INSTALLED)
     if len(primitives) != len(patch_list):
         raise ValueError(f"{len(primitives)} primitives came with {len(patch_list)} patches: give one patch for each.")
     faces: list[tuple[str, Any]] = []
@@ -260,7 +261,7 @@ def _write(path: Path, faces: Sequence[tuple[str, Any]]) -> None:
         builder.Add(compound, face)
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
-        with _quiet():
+        with quiet():
             writer = STEPControl_Writer()
             Interface_Static.SetCVal_s("write.step.unit", "MM")
             writer.Transfer(compound, STEPControl_StepModelType.STEPControl_AsIs)
@@ -278,16 +279,16 @@ def _write(path: Path, faces: Sequence[tuple[str, Any]]) -> None:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """OpenCASCADE's messenger reports failures only, for as long as the block lasts."""
-    from OCP.Message import Message, Message_Gravity
+def quiet() -> Iterator[None]:
+    """OpenCASCADE's messenger, which prints to stdout, is silent for as long as the block lasts."""
+    from OCP.Message import Message
 
-    printers = list(Message.DefaultMessenger_s().Printers())
-    levels = [printer.GetTraceLevel() for printer in printers]
+    messenger = Message.DefaultMessenger_s()
+    printers = list(messenger.Printers())
     for printer in printers:
-        printer.SetTraceLevel(Message_Gravity.Message_Fail)
+        messenger.RemovePrinter(printer)
     try:
         yield
     finally:
-        for printer, level in zip(printers, levels, strict=True):
-            printer.SetTraceLevel(level)
+        for printer in printers:
+            messenger.AddPrinter(printer)

@@ -107,3 +107,29 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         with contextlib.suppress(OSError):
             partial.unlink()
         raise
+
+
+@contextlib.contextmanager
+def only_here(path: Path, refusal: str) -> Iterator[None]:
+    """Locks a file, which is made, against other processes; ValueError(refusal) where one has it locked.
+
+    The lock ends with the process, however that ends. Systems without flock go without.
+    """
+    with open(path, "a") as file:
+        if not _lock(file):
+            raise ValueError(refusal)
+        yield
+
+
+def _lock(file: IO[str]) -> bool:
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True  # some network file systems have no locks
+    return True

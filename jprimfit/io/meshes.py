@@ -35,8 +35,8 @@ def sample(
 ) -> Float[np.ndarray, "n 3"]:
     """Points distributed uniformly over the triangles; none if no triangle has a finite area greater than 0."""
     corner = vertices[faces[:, 0]]
-    first, second = vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # vertices may be infinite or too far apart to subtract
+        first, second = vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner
         area = np.linalg.norm(np.cross(first, second), axis=1) / 2
         area = np.where(np.isfinite(area), area, 0.0)
         total = area.sum()

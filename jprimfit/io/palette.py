@@ -1,4 +1,4 @@
-"""One colour per primitive, the same in segments.ply, surfaces.obj and the report.
+"""One colour per primitive, the same in segments.ply, surfaces.obj and the report; and colours of deviations.
 
 Colour i never depends on how many there are. Hues follow the golden angle, so that successive colours are far apart;
 lightness cycles through three values, so that near hues still differ. Source: B. Ottosson 2020, the OKLCH colour space.
@@ -14,6 +14,9 @@ ROUND = 21
 SHIFTS = (0.0, -0.08, 0.07)
 CHROMA = 0.14
 FIRST_HUE = 4.4  # radians; a blue
+# Of the largest deviations: a red and a blue of one lightness.
+RED_HUE, BLUE_HUE = 0.45, 4.55
+FULL_LIGHTNESS, FULL_CHROMA = 0.52, 0.19
 
 
 def colors(num: int) -> UInt8[np.ndarray, "num 3"]:
@@ -28,6 +31,18 @@ def colors_of_labels(labels: Int[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
     """The colour of each label; GREY for -1."""
     table = np.concatenate([np.array([GREY], np.uint8), colors(int(labels.max(initial=-1)) + 1)])
     return table[labels + 1]
+
+
+def colors_of_deviations(deviations: Float[np.ndarray, "n"], *, scale: float) -> UInt8[np.ndarray, "n 3"]:
+    """Blue at -scale and below, white at 0, red at scale and above, even to the eye between; GREY where not finite."""
+    known = np.isfinite(deviations)
+    share = np.clip(np.where(known, deviations, 0.0) / scale, -1, 1) if scale > 0 else np.zeros(len(deviations))
+    strength = np.abs(share)
+    hue = np.where(share > 0, RED_HUE, BLUE_HUE)
+    chroma = FULL_CHROMA * strength
+    found = _srgb(1 - (1 - FULL_LIGHTNESS) * strength, chroma * np.cos(hue), chroma * np.sin(hue))
+    found[~known] = GREY
+    return found
 
 
 def _srgb(

@@ -24,6 +24,7 @@ TYPES = {
 LENGTH_TYPES = {name: code for name, code in TYPES.items() if code[0] != "f"}
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 FACE_LISTS = ("vertex_indices", "vertex_index")
+LABEL_NAMES = ("label", "scalar_label")  # the second as CloudCompare saves the first
 
 
 class Property(NamedTuple):
@@ -62,6 +63,23 @@ def read(path: Path) -> Mesh:
     if vertices is None or len(vertices) == 0:
         raise BadFile(f"{path} is a PLY file without vertices: give one that holds points.")
     return Mesh(vertices, faces, normals)
+
+
+def read_labels(path: Path) -> Int[np.ndarray, "n"]:
+    """The property `label` of the vertices, as write_segments writes it; BadFile if the file is none or has none."""
+    data = path.read_bytes()
+    encoding, elements, start = _header(data, path)
+    body = _AsciiBody(data[start:], path) if encoding == "ascii" else _BinaryBody(data, start, ORDERS[encoding], path)
+    for element in elements:
+        columns, _ = body.rows(element)
+        if element.name == "vertex":
+            name = next((name for name in LABEL_NAMES if name in columns), None)
+            if name is None:
+                raise BadFile(
+                    f"{path} has vertices without a property 'label': give segments.ply of a fit, or the like."
+                )
+            return np.rint(np.nan_to_num(columns[name].astype(np.float64), nan=-1.0)).astype(np.int64)
+    raise BadFile(f"{path} is a PLY file without vertices: give segments.ply of a fit, or the like.")
 
 
 def _header(data: bytes, path: Path) -> tuple[str, list[Element], int]:
@@ -254,20 +272,45 @@ def write_segments(
     kind_ids: Int[np.ndarray, "n"],
 ) -> None:
     """Writes one row per point: x y z, nx ny nz, red green blue, label and kind (0-3 by type id), -1 for none."""
-    fields = [(name, "<f8") for name in ("x", "y", "z")] + [(name, "<f4") for name in ("nx", "ny", "nz")]
-    fields += [(name, "u1") for name in ("red", "green", "blue")] + [("label", "<i4"), ("kind", "i1")]
-    table = np.zeros(len(points), np.dtype(fields))
-    for i, letter in enumerate("xyz"):
-        table[letter] = points[:, i]
-        table["n" + letter] = normals[:, i]
-        table[("red", "green", "blue")[i]] = colors[:, i]
-    table["label"], table["kind"] = labels, kind_ids
-    names = {"<f8": "double", "<f4": "float", "u1": "uchar", "<i4": "int", "i1": "char"}
-    properties = "".join(f"property {names[code]} {name}\n" for name, code in fields)
+    columns = {letter: points[:, i] for i, letter in enumerate("xyz")}
+    columns |= {"n" + letter: normals[:, i].astype("<f4") for i, letter in enumerate("xyz")}
+    columns |= {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
+    columns |= {"label": labels.astype("<i4"), "kind": kind_ids.astype("i1")}
+    comment = "jprimfit segments; label = row of the primitive, -1 none; kind 0 plane 1 sphere 2 cylinder 3 cone"
+    _write_columns(path, columns, comment)
+
+
+def write_deviations(
+    path: str | Path,
+    points: Float[np.ndarray, "n 3"],
+    colors: UInt8[np.ndarray, "n 3"],
+    deviations: Float[np.ndarray, "n"],
+    labels: Int[np.ndarray, "n"],
+    *,
+    scale: float,
+) -> None:
+    """Writes one row per point: x y z, red green blue, deviation (signed length, NaN where the label is -1), label.
+
+    scale: the deviation of full colour, which a comment in the header tells.
+    """
+    columns = {letter: points[:, i] for i, letter in enumerate("xyz")}
+    columns |= {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
+    columns |= {"deviation": deviations.astype("<f4"), "label": labels.astype("<i4")}
+    comment = f"jprimfit deviations; blue {-scale:.6g} or less, white 0, red {scale:.6g} or more, grey no primitive"
+    _write_columns(path, columns, comment)
+
+
+def _write_columns(path: str | Path, columns: dict[str, np.ndarray], comment: str) -> None:
+    """Writes the vertices of a binary file, a property per column in the column's own type."""
+    names = {"f8": "double", "f4": "float", "u1": "uchar", "i4": "int", "i1": "char"}
+    fields = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    table = np.zeros(len(columns["x"]), np.dtype(fields))
+    for name, values in columns.items():
+        table[name] = values
+    properties = "".join(f"property {names[dtype.str[1:]]} {name}\n" for name, dtype in fields)
     header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        "comment jprimfit segments; label = row of the primitive, -1 none; kind 0 plane 1 sphere 2 cylinder 3 cone\n"
-        f"element vertex {len(points)}\n{properties}end_header\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
+        f"element vertex {len(table)}\n{properties}end_header\n"
     )
     with replacing(path) as file:
         file.write(header.encode("ascii"))

@@ -15,7 +15,10 @@ from jprimfit.scene import Scene
 from jprimfit.types import Plane
 
 POINTS = np.random.default_rng(0).normal(size=(60, 3))
-FILES = ["report.png", "scene.json", "scene.npz", "segments.ply", "surfaces.mtl", "surfaces.obj"]
+FILES = [
+    *("deviations.ply", "features.csv", "report.png", "scene.json", "scene.npz"),
+    *("segments.ply", "surfaces.mtl", "surfaces.obj"),
+]
 
 
 @pytest.fixture
@@ -32,7 +35,9 @@ def test_one_scan_gives_the_files_and_the_table(quick, scan, tmp_path, capsys):
     assert main(["fit", str(scan), "--out", str(tmp_path / "deep" / "out")]) == 0
     out, err = capsys.readouterr()
     assert _names(tmp_path / "deep") == ["out"] and _names(tmp_path / "deep" / "out") == FILES
-    assert "plane" in out and "r = 1.0" in out and "100.0 % of 60 points" in out and "noise 0.25" in out
+    assert (
+        "plane" in out and "sphere" in out and "d 2.0" in out and "100.0 % of 60 points" in out and "noise 0.25" in out
+    )
     assert "60 points" in err and err.count("growing") == 1
     scene = Scene.load(tmp_path / "deep" / "out" / "scene.json")
     np.testing.assert_array_equal(scene.points, POINTS)
@@ -46,6 +51,21 @@ def test_settings_reach_the_pipeline(quick, scan, tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
     call = quick[0]
     assert (call["filter"], call["smooth"], call["model"], call["seed"]) == ("on", True, None, 7)
+    assert call["min_points"] == 6 and "tolerance" not in call and "kinds" not in call and "labels" not in call
+
+
+def test_wishes_reach_the_pipeline(quick, scan, tmp_path):
+    words = ["--tolerance", "0.5", "--min-points", "9", "--kinds", "plane,cone", "--device", "cpu", "--quiet"]
+    assert main(["fit", str(scan), "--out", str(tmp_path / "out"), *words]) == 0
+    call = quick[0]
+    assert (call["tolerance"], call["min_points"], call["kinds"]) == (0.5, 9, ["plane", "cone"])
+
+
+def test_labels_are_those_of_one_scan(quick, scan, tmp_path, capsys):
+    np.save(tmp_path / "labels.npy", np.zeros(60, int))
+    words = ["fit", str(scan), str(scan), "--labels", str(tmp_path / "labels.npy"), "--out", str(tmp_path / "out")]
+    assert main(words) == 2 and not quick
+    assert "one scan" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["default", "nonsense"])

@@ -24,14 +24,34 @@ def _square(num_lost=0):
     return Scene(points, labels, primitives, surfaces, np.tile(up, (400, 1)), np.zeros(400))
 
 
+def _rest(scene):
+    return scene.primitives, scene.surface_of, scene.normals, scene.distances
+
+
 def test_a_scene_gives_every_file(tmp_path):
     from jprimfit.cad import step
 
     assert write_outputs(_square(), tmp_path / "out", title="plate") == []
-    expected = ["report.png", "scene.json", "scene.npz", "segments.ply", "surfaces.mtl", "surfaces.obj"]
+    expected = ["deviations.ply", "features.csv", "report.png", "scene.json", "scene.npz"]
+    expected += ["segments.ply", "surfaces.mtl", "surfaces.obj"]
     assert _names(tmp_path / "out") == sorted(expected + ["surfaces.step"] * step.available())
     assert (tmp_path / "out" / "report.png").read_bytes()[:4] == b"\x89PNG"
     assert "o plane_0\n" in (tmp_path / "out" / "surfaces.obj").read_text()
+
+
+def test_deviations_are_colored_by_sign(quick, tmp_path):
+    flat = _square()
+    points = flat.points + np.array([0, 0, 1]) * np.where(np.arange(400) % 2, 0.01, -0.01)[:, None]
+    points[0, 2], points[1, 2] = -0.5, 0.5
+    scene = Scene(points, np.where(np.arange(400) == 9, -1, 0).astype(np.int32), *_rest(flat))
+    write_outputs(scene, tmp_path / "out")
+    header, data = (tmp_path / "out" / "deviations.ply").read_bytes().split(b"end_header\n")
+    row = np.frombuffer(data, [("xyz", "<f8", 3), ("rgb", "u1", 3), ("deviation", "<f4"), ("label", "<i4")])
+    scale = 3 * np.sqrt(np.nanmean(scene.signed_distances**2))
+    assert f"blue {-scale:.6g} or less, white 0, red {scale:.6g} or more".encode() in header
+    np.testing.assert_allclose(row["deviation"], np.where(scene.labels == 0, points[:, 2], np.nan), atol=1e-7)
+    (blue, red, _, nearly_white), grey = row["rgb"][:4].astype(int), row["rgb"][9]
+    assert blue[2] > blue[0] + 80 and red[0] > red[2] + 80 and nearly_white.min() > 180 and len(set(grey.tolist())) == 1
 
 
 def test_colors_and_kinds_agree_between_the_files(quick, tmp_path):

@@ -61,7 +61,7 @@ def read_back(path):
     from OCP.TopExp import TopExp_Explorer
     from OCP.TopoDS import TopoDS
 
-    with step._quiet():
+    with step.quiet():
         reader = STEPControl_Reader()
         reader.ReadFile(str(path))
         reader.TransferRoots()

@@ -33,6 +33,13 @@ def test_degenerate_triangles_get_no_points():
     assert points.shape == (1000, 3) and np.all(np.isfinite(points))
 
 
+def test_triangles_whose_corners_are_infinite_or_too_far_apart_get_no_points():
+    vertices = np.concatenate([VERTICES, [[np.inf, 0, 0], [np.inf, 1, 0], [1.7e308, 0, 0], [-1.7e308, 0, 0]]])
+    faces = np.concatenate([FACES, [[7, 8, 0], [8, 7, 1], [9, 10, 0]]])
+    points = sample(vertices, faces, num_samples=1000, seed=0)
+    assert points.shape == (1000, 3) and np.all(np.abs(points) <= 5)
+
+
 def test_far_from_the_origin_points_stay_on_the_surface():
     points = sample(VERTICES + 1e6, FACES[:2], num_samples=1000, seed=0)
     assert np.max(np.abs(points[:, 2] - 1e6)) == 0

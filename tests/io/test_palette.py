@@ -22,3 +22,12 @@ def test_labels_take_their_colors_and_none_is_grey():
     np.testing.assert_array_equal(found[[0, 2, 3]], palette.colors(3)[[2, 0, 2]])
     assert tuple(found[1]) == palette.GREY
     assert palette.colors_of_labels(np.array([], np.int32)).shape == (0, 3)
+
+
+def test_deviations_run_from_blue_over_white_to_red():
+    found = palette.colors_of_deviations(np.array([-9.0, -1, 0, 0.5, 1, 9, np.nan, np.inf]), scale=1.0).astype(int)
+    np.testing.assert_array_equal(found[[0, 5]], found[[1, 4]])
+    assert found[2].tolist() == [255, 255, 255] and found[6].tolist() == found[7].tolist() == list(palette.GREY)
+    assert found[1, 2] > found[1, 0] + 100 and found[4, 0] > found[4, 2] + 100
+    assert found[4, 1] < found[3, 1] < 255 and found[3, 0] > 230
+    assert palette.colors_of_deviations(np.zeros(2), scale=0.0).tolist() == [[255, 255, 255]] * 2
