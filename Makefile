@@ -2,6 +2,7 @@
 PYTHON ?= python3
 EXTRAS ?=
 ARGS ?=
+WORKERS ?= 2
 
 VENV := .venv
 RUN := $(VENV)/bin/python
@@ -30,8 +31,8 @@ setup: $(PLAIN)  ## install jprimfit into .venv
 demo: $(PLAIN)  ## fit the bundled scan, print its primitives, write out/demo/
 	@$(RUN) -m jprimfit demo $(ARGS)
 
-test: $(DEV)  ## run the test suite; ARGS='--cov=jprimfit' adds the coverage
-	@$(RUN) -m pytest $(ARGS)
+test: $(DEV)  ## run the test suite, WORKERS=2 files at a time; ARGS='--cov=jprimfit' adds the coverage
+	@$(RUN) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 test-slow: $(DEV)  ## run the tests that take minutes
 	@$(RUN) -m pytest -m "slow and not gpu" $(ARGS) || { code=$$?; \

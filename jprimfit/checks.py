@@ -4,6 +4,7 @@ Rows that hold NaN, infinities or absurd magnitudes are dropped and the map to t
 no surface can follow (too few distinct points, all on one line) are refused in one sentence. NumPy only, float64.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,57 @@ def usable_rows(points: Any, normals: Any = None) -> Usable:
             f"normals has {len(directions)} rows and points {len(usable)}: give one normal per point, or none at all."
         )
     return Usable(array, _unit(directions[rows]), rows)
+
+
+def usable_labels(labels: Any, num_points: int) -> Int[np.ndarray, "n"]:
+    """The segment of each point as int64, or a ValueError of one sentence."""
+    try:
+        array = np.asarray(labels)
+    except Exception as error:  # whatever an object's own conversion raises
+        raise ValueError(f"labels is no array ({type(error).__name__}): give one integer per point.") from None
+    if array.dtype.kind not in "iu" or array.shape != (num_points,):
+        raise ValueError(
+            f"labels has shape {array.shape} and type {array.dtype}: give one integer for each of {num_points} points."
+        )
+    if not np.any(array >= 0):
+        raise ValueError("labels names no segment: give the points of a segment a number of 0 or more.")
+    return array.astype(np.int64)
+
+
+def chosen_kinds(kinds: Any, known: Sequence[str]) -> tuple[str, ...]:
+    """The kinds in the order of the known ones, or a ValueError of one sentence."""
+    chosen = [kinds] if isinstance(kinds, str) else list(kinds)
+    wrong = [kind for kind in chosen if kind not in known]
+    if wrong or not chosen:
+        raise ValueError(f"kinds is {chosen}, but some of {', '.join(known)} are expected.")
+    return tuple(kind for kind in known if kind in chosen)
+
+
+def told_kinds(kind_of: Mapping[int, str] | None, labels: Int[np.ndarray, "n"], known: Sequence[str]) -> dict[int, str]:
+    """The kind of some labels, or a ValueError of one sentence."""
+    present = set(np.unique(labels).tolist())
+    for label, kind in (kind_of or {}).items():
+        if kind not in known:
+            raise ValueError(f"kind_of makes label {label} a {kind!r}, but {', '.join(known)} are the kinds there are.")
+        if label not in present or label < 0:
+            raise ValueError(f"kind_of tells the kind of label {label}, which no point has.")
+    return dict(kind_of or {})
+
+
+def positive(value: Any, name: str) -> float | None:
+    """A finite number above 0, or None as given; else a ValueError of one sentence."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not 0 < value < np.inf:
+        raise ValueError(f"{name} is {value!r}, but a length above 0 is expected.")
+    return float(value)
+
+
+def count(value: Any, name: str) -> int:
+    """A whole number of 1 or more; else a ValueError of one sentence."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ValueError(f"{name} is {value!r}, but a whole number of 1 or more is expected.")
+    return int(value)
 
 
 def _numbers(value: Any, name: str) -> Float[np.ndarray, "n 3"]:

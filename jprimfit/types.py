@@ -62,6 +62,38 @@ class Cone(NamedTuple):
 Primitive = Plane | Sphere | Cylinder | Cone
 
 
+class Loop(NamedTuple):
+    """A closed boundary of a flat face: a circle, or the corners of a polygon in order."""
+
+    corners: Float[Any, "k 3"]  # empty where it is a circle
+    center: Float[Any, "3"] | None = None  # of the circle
+    radius: float | None = None
+
+
+class Feature(NamedTuple):
+    """What a drawing says of one primitive: how far it reaches, hole or boss, how well its points fit and tell it.
+
+    None stands for what the kind does not have or the points do not tell. Extents are those of the surface that was
+    seen, ends where its points end. Lengths in the unit of the points, angles in radians.
+    """
+
+    num_points: int
+    rms: float  # root of the mean squared distance of the points; NaN without points
+    largest_deviation: float  # signed distance of the point farthest off: a single stray point decides; NaN without
+    position: Float[Any, "3"]  # plane: middle of its box; sphere: center; cylinder, cone: axis, midway between the ends
+    area: float  # of the trimmed surface
+    length: float | None = None  # plane: longer side of its smallest box; cylinder, cone: along the axis
+    width: float | None = None  # plane: shorter side
+    ends: Float[Any, "2 3"] | None = None  # cylinder, cone: the points of the axis where the surface ends
+    end_radii: tuple[float, float] | None = None  # cylinder, cone: there
+    arc: float | None = None  # cylinder, cone: the turn without the widest gap; 2 pi = all round
+    solid_angle: float | None = None  # sphere: area / radius^2; 4 pi = all of it
+    outline: tuple[Loop, ...] = ()  # plane: outer boundaries counter-clockwise about the normal, holes clockwise
+    is_hole: bool | None = None  # sphere, cylinder, cone: whether the material is outside; None = not known
+    standard_errors: dict[str, float] | None = None  # see Scene.features
+    warning: str = ""  # why not to rely on it; empty = nothing speaks against it
+
+
 class Fit(NamedTuple):
     """A fitted primitive, and whether the points determined it; where ok is False its values are finite, no more."""
 

@@ -7,6 +7,7 @@ for it.
 import hashlib
 import json
 import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -35,7 +36,10 @@ def build_in(folder: Path, *, progress: Callable[[int], object] | None = None) -
     folder.mkdir(parents=True, exist_ok=True)
     path = path_in(folder)
     try:
-        build(path, CONFIG, workers=os.cpu_count(), progress=progress)
+        # In a folder of its own: another process may be building the same.
+        with tempfile.TemporaryDirectory(dir=folder) as own:
+            build(Path(own) / path.name, CONFIG, workers=os.cpu_count(), progress=progress)
+            os.replace(Path(own) / path.name, path)
     except ImportError as error:
         raise ValueError(
             f"the test set is built with {error.name or error}, which is not installed: install it, or give a "

@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 
 from jprimfit.geometry.hierarchy import NUM_INTERPOLATED, Hierarchy, HierarchySpec, Searches, assemble, levels, nearest
 from jprimfit.geometry.sampling import optimised_farthest_points
+from jprimfit.programs import stored
 from jprimfit.types import Neighbors
 
 TIE_DEPTH = 64  # how far behind the k-th place points of equal distance are looked for
@@ -142,7 +143,7 @@ def build_hierarchy(
         return jax.device_get(_assemble(points, mask, searches, spec=spec))
 
 
-@partial(jax.jit, static_argnames="spec")
+@partial(stored, static_argnames="spec")
 def _sample_levels(
     points: Array, mask: Array, *, spec: HierarchySpec
 ) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
@@ -151,7 +152,7 @@ def _sample_levels(
     return sample, *levels(points, mask, sample, spec=spec)[:2]
 
 
-_assemble = jax.jit(assemble, static_argnames="spec")
+_assemble = stored(assemble, static_argnames="spec")
 
 
 def _on_cpu() -> contextlib.AbstractContextManager[Any]:

@@ -4,11 +4,11 @@ Above 10,000 points the cloud is reduced to 8,192 by farthest-point sampling, wh
 that a random choice would thin out. The rows are kept, so that labels found on the sample can be carried back.
 """
 
-import jax
 import numpy as np
 from jaxtyping import Float32, Int32
 
 from jprimfit.geometry.sampling import optimised_farthest_points
+from jprimfit.programs import stored
 
 
 def downsample(
@@ -29,4 +29,4 @@ def downsample(
     return sample[(sample != sample[0]) | (np.arange(len(sample)) == 0)]
 
 
-_farthest_points = jax.jit(optimised_farthest_points, static_argnames="num_samples")
+_farthest_points = stored(optimised_farthest_points, static_argnames="num_samples")
