@@ -33,7 +33,7 @@ def parts(contents: step_reader.Contents, *, source: str, min_share: float, name
             Body(body.vertices, body.triangles, body.face_index, body.surfaces),
             min_share=min_share,
             name=name if len(contents.bodies) == 1 else f"{name}_{number}",
-            exact_areas=body.areas,
+            known_areas=body.areas,
             unit=contents.unit,
             **fields,
         )

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from jprimfit.data.areas import exact_areas
 from jprimfit.data.records import BACKGROUND, Mesh, Part
 from jprimfit.data.solids import Body, Solid, Surface, doubled_areas, evaluate, signed_distance, transform_surface
 from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
@@ -31,18 +32,20 @@ def make_part(solid: Solid, *, min_share: float, name: str, **fields) -> Part | 
 
 
 def part_of_body(
-    body: Body, *, min_share: float, name: str, exact_areas: Float[np.ndarray, "s"] | None = None, **fields
+    body: Body, *, min_share: float, name: str, known_areas: Float[np.ndarray, "s"] | None = None, **fields
 ) -> Part | None:
     """The same for a triangulation, of whatever number of pieces; None where no instance is left.
 
-    exact_areas: of the surfaces of the body, in its unit; each is shared out among the triangles of its surface, whose
-    own areas fall short where it is curved.
+    known_areas: of the surfaces of the body, in its unit, each shared out among the triangles of its surface; without
+    them they are computed from the surfaces.
     """
     corners = body.vertices[body.faces]
-    areas = np.sqrt(np.sum(doubled_areas(corners) ** 2, axis=1)) / 2
-    if exact_areas is not None:
+    if known_areas is None:
+        areas = exact_areas(body)
+    else:
+        areas = np.sqrt(np.sum(doubled_areas(corners) ** 2, axis=1)) / 2
         flat = np.bincount(body.surface_index, weights=areas, minlength=len(body.surfaces))
-        areas = areas * (exact_areas / np.where(flat > 0, flat, 1.0))[body.surface_index]
+        areas = areas * (known_areas / np.where(flat > 0, flat, 1.0))[body.surface_index]
     center = areas @ np.mean(corners, axis=1) / np.sum(areas)
     scale = float(np.max(np.ptp(body.vertices, axis=0))) / 2
     body = body._replace(

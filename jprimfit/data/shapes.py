@@ -19,7 +19,6 @@ Real = float | int
 
 _CHORD, _ARC_CHORD = 0.002, 0.004  # largest distance of a chord from its circle: around an axis, along a turned arc
 _MIN_SEGMENTS, _MAX_SEGMENTS = 24, 72  # of a whole circle
-_BALL_SEGMENTS = 48  # at least, of the circles of a ball: two curvatures, and areas of pieces are to be within 0.5 %
 _AXES = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
 _TINY = 1e-9
 
@@ -114,14 +113,11 @@ def extrude(profile: Profile, height: Real, base: Real = 0.0) -> Body:
     return Body(np.concatenate([lower, upper]), faces, surface_index, sides + ends)
 
 
-def revolve(profile: Profile, least: int = _MIN_SEGMENTS) -> Body:
-    """The profile (radius, z) turned about the z axis; the part of its outline on the axis leaves no face.
-
-    A whole circle is cut into `least` chords or more.
-    """
-    outline, edge = _discretise(profile, chord=_ARC_CHORD, least=least)
+def revolve(profile: Profile) -> Body:
+    """The profile (radius, z) turned about the z axis; the part of its outline on the axis leaves no face."""
+    outline, edge = _discretise(profile, chord=_ARC_CHORD)
     outline = np.where(np.abs(outline) < _TINY, 0.0, outline)
-    count = segments(float(np.max(outline[:, 0])), least=least)
+    count = segments(float(np.max(outline[:, 0])))
     angle = np.arange(count) * 2 * np.pi / count
     radius, height = outline[:, :1], np.repeat(outline[:, 1:], count, axis=1)
     vertices = np.stack([radius * np.cos(angle)[None], radius * np.sin(angle)[None], height], axis=-1).reshape(-1, 3)
@@ -158,7 +154,7 @@ def cone(low: Real, high: Real, height: Real, base: Sequence[Real] = (0.0, 0.0, 
 def sphere(radius: Real, center: Sequence[Real] = (0.0, 0.0, 0.0)) -> Solid:
     """The ball about center."""
     outline = Profile(np.array([(0.0, -radius), (0.0, radius)]), np.array([np.pi, 0.0]))
-    return place(revolve(outline, _BALL_SEGMENTS), center)
+    return place(revolve(outline), center)
 
 
 def drill(radius: Real, depth: Real, tip: Real = 0.0, chamfer: Real = 0.0) -> Body:
@@ -199,20 +195,20 @@ def ring(solid: Solid, count: int, phase: Real = 0.0) -> list[Solid]:
     return [rotate(solid, phase + j * 2 * np.pi / count) for j in range(count)]
 
 
-def segments(radius: Real, chord: Real = _CHORD, least: int = _MIN_SEGMENTS) -> int:
+def segments(radius: Real, chord: Real = _CHORD) -> int:
     """The number of chords of a whole circle, a multiple of four."""
     step = 2 * np.arccos(1 - min(chord / max(radius, chord), 0.9))
-    return int(np.clip(4 * np.ceil(2 * np.pi / step / 4), least, _MAX_SEGMENTS))
+    return int(np.clip(4 * np.ceil(2 * np.pi / step / 4), _MIN_SEGMENTS, _MAX_SEGMENTS))
 
 
-def _discretise(profile: Profile, *, chord: Real, least: int = _MIN_SEGMENTS) -> tuple[np.ndarray, np.ndarray]:
+def _discretise(profile: Profile, *, chord: Real) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the outline, counter-clockwise, and for the segment that starts at each the edge it belongs to."""
     outline, edge = [], []
     for row, (start, end, sweep) in enumerate(_edges(profile)):
         steps = 1
         if sweep:
             center = _center(start, end, sweep)
-            whole = segments(float(np.hypot(*(start - center))), chord, least)
+            whole = segments(float(np.hypot(*(start - center))), chord)
             steps = max(4, int(np.ceil(whole * abs(sweep) / (2 * np.pi))))
             angle = sweep * np.arange(steps)[:, None] / steps
             spoke = (start - center)[None]

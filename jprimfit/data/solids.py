@@ -6,6 +6,7 @@ library passes the number of the input surface through to every triangle of the 
 A surface is a primitive of ours, or None for what is none of the four kinds.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -156,23 +157,35 @@ def _length_and_direction(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _settled(body: Body) -> Body:
-    """The body with every vertex on all surfaces that meet there: Newton steps of least length on the distances.
-
-    Surfaces that touch tangentially do not determine a point; there a vertex that would run away stays.
-    """
+    """The body with every vertex on all surfaces that meet there; one that would run away stays."""
     pairs = np.unique(np.stack([body.faces.ravel(), np.repeat(body.surface_index, 3)], axis=1), axis=0)
-    known = np.array([surface is not None for surface in body.surfaces])
+    moved = onto_surfaces(body.vertices, pairs, body.surfaces)
+    extent = float(np.max(np.ptp(body.vertices, axis=0)))
+    far = np.sum((moved - body.vertices) ** 2, axis=1) > (_SETTLE_LIMIT * extent) ** 2
+    moved[far | np.any(~np.isfinite(moved), axis=1)] = body.vertices[far | np.any(~np.isfinite(moved), axis=1)]
+    return body._replace(vertices=_without_flips(body, moved))
+
+
+def onto_surfaces(
+    points: Float[np.ndarray, "n 3"], pairs: Int[np.ndarray, "p 2"], surfaces: Sequence[Surface]
+) -> Float[np.ndarray, "n 3"]:
+    """The points moved onto all their surfaces by Newton steps of least length on the distances.
+
+    pairs are rows (point, surface), sorted; surfaces that are None ask for nothing. Surfaces that touch tangentially do
+    not determine a point: it may run away, and it is for the caller to say how far it may.
+    """
+    known = np.array([surface is not None for surface in surfaces])
     pairs = pairs[known[pairs[:, 1]]]
     residual = np.zeros(len(pairs))
     gradient = np.zeros((len(pairs), 3))
-    moved = body.vertices.copy()
-    extent = float(np.max(np.ptp(body.vertices, axis=0)))
-    slot = np.arange(len(pairs)) - np.searchsorted(pairs[:, 0], pairs[:, 0])  # place of a surface among its vertex's
+    moved = points.copy()
+    extent = float(np.max(np.ptp(points, axis=0)))
+    slot = np.arange(len(pairs)) - np.searchsorted(pairs[:, 0], pairs[:, 0])  # place of a surface among its point's
     depth = int(slot.max(initial=0)) + 1
     for _ in range(_SETTLE_STEPS):
         for index in np.unique(pairs[:, 1]):
             rows = np.flatnonzero(pairs[:, 1] == index)
-            residual[rows], gradient[rows] = signed_distance(body.surfaces[index], moved[pairs[rows, 0]])  # type: ignore
+            residual[rows], gradient[rows] = signed_distance(surfaces[index], moved[pairs[rows, 0]])  # type: ignore
         open_rows = np.unique(pairs[np.abs(residual) > 1e-9 * extent, 0])
         if not len(open_rows):
             break
@@ -183,9 +196,7 @@ def _settled(body: Body) -> Body:
         system[place[pairs[rows, 0]], slot[rows]] = gradient[rows]
         right[place[pairs[rows, 0]], slot[rows], 0] = residual[rows]
         moved[open_rows] -= (np.linalg.pinv(system, rcond=0.05) @ right)[:, :, 0]
-    far = np.sum((moved - body.vertices) ** 2, axis=1) > (_SETTLE_LIMIT * extent) ** 2
-    moved[far | np.any(~np.isfinite(moved), axis=1)] = body.vertices[far | np.any(~np.isfinite(moved), axis=1)]
-    return body._replace(vertices=_without_flips(body, moved))
+    return moved
 
 
 def _without_flips(body: Body, moved: np.ndarray) -> np.ndarray:

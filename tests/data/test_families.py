@@ -74,13 +74,14 @@ def check_invariants(part):
     doubled = solids.doubled_areas(vertices[mesh.faces])
     sizes = np.sqrt(np.sum(doubled**2, axis=1)) / 2
     by_label = np.bincount(mesh.labels + 1, weights=sizes, minlength=len(part.primitives) + 1)
-    assert by_label[1:] == pytest.approx(part.areas, rel=1e-4) and np.all(part.areas > 0)
-    assert by_label[0] == pytest.approx(part.background_area, abs=1e-4)
+    # The areas told are those of the exact faces, which the triangles miss by the chords of their arcs.
+    assert by_label[1:] == pytest.approx(part.areas, rel=0.05) and np.all(part.areas > 0)
+    assert by_label[0] == pytest.approx(part.background_area, abs=0.02)
     ends = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     assert np.array_equal(np.sort(ends[:, 0] * 10**6 + ends[:, 1]), np.sort(ends[:, 1] * 10**6 + ends[:, 0]))  # closed
     assert np.sum(vertices[mesh.faces][:, 0] * doubled) > 0  # outward
     assert np.max(np.ptp(vertices, axis=0)) == pytest.approx(2, abs=1e-5)
-    assert sizes @ np.mean(vertices[mesh.faces], axis=1) / np.sum(sizes) == pytest.approx(np.zeros(3), abs=1e-5)
+    assert sizes @ np.mean(vertices[mesh.faces], axis=1) / np.sum(sizes) == pytest.approx(np.zeros(3), abs=5e-3)
     for label, primitive in enumerate(part.primitives):
         mine = mesh.labels == label
         distance, gradient = solids.signed_distance(primitive, np.mean(vertices[mesh.faces[mine]], axis=1))
@@ -137,7 +138,7 @@ def test_areas_are_those_of_the_exact_faces():
         for primitive, area in zip(part.primitives, part.areas, strict=True):
             if primitive.kind == "cylinder":
                 exact["cylinder"] = 2 * np.pi * float(primitive.radius) * sum(planes)
-            assert area == pytest.approx(exact[primitive.kind], rel=5e-3)
+            assert area == pytest.approx(exact[primitive.kind], rel=1e-4)
     for part in parts_of("taper_pin", 3):
         for label, (primitive, area) in enumerate(zip(part.primitives, part.areas, strict=True)):
             rows = np.unique(part.mesh.faces[part.mesh.labels == label])
@@ -150,7 +151,7 @@ def test_areas_are_those_of_the_exact_faces():
                 exact = 2 * np.pi * float(primitive.radius) * np.ptp(part.mesh.vertices[rows][:, 2])
             else:
                 exact = np.pi * np.max(np.linalg.norm(part.mesh.vertices[rows][:, :2], axis=1)) ** 2
-            assert area == pytest.approx(exact, rel=5e-3)
+            assert area == pytest.approx(exact, rel=2e-4)
 
 
 def test_the_way_back_leads_to_the_sizes_of_the_table():

@@ -24,7 +24,7 @@ def test_a_block_with_a_hole():
     assert part.scale == pytest.approx(2.0) and part.center == pytest.approx([7, 8, 9])
     hole = np.pi * 0.25
     expected = [8 - hole, 8 - hole, 4, 4, np.pi, 2, 2]
-    assert part.areas * part.scale**2 == pytest.approx(expected, rel=4e-3)
+    assert part.areas * part.scale**2 == pytest.approx(expected, rel=1e-4)
     assert list(part.areas) == sorted(part.areas, reverse=True) and part.background_area == 0.0
     assert (part.family, part.split, part.seed) == ("f", "train", 3)
     assert instances.largest_residual(part) < 1e-6
@@ -49,7 +49,7 @@ def test_small_pieces_are_background():
     plate = solids.difference(shapes.box((2, 2, 0.2)), shapes.cylinder(0.03, 1, (0, 0, -0.5)))
     all_of_it, without = part_of(plate), part_of(plate, min_share=0.005)
     assert len(all_of_it.primitives) == 7 and len(without.primitives) == 6
-    assert without.background_area == pytest.approx(2 * np.pi * 0.03 * 0.2, rel=0.02)
+    assert without.background_area == pytest.approx(2 * np.pi * 0.03 * 0.2, rel=1e-3)
     assert np.sum(without.areas) + without.background_area == pytest.approx(np.sum(all_of_it.areas))
     assert np.sum(without.mesh.labels == records.BACKGROUND) == np.sum(all_of_it.mesh.labels == 6)
 
@@ -76,7 +76,7 @@ def test_primitives_stand_in_their_gauge():
             direction = primitive[0]
             assert direction[np.argmax(np.abs(direction))] > 0
         if isinstance(primitive, Cylinder):
-            assert (mean - primitive.center) @ primitive.axis == pytest.approx(0, abs=1e-6)
+            assert (mean - primitive.center) @ primitive.axis == pytest.approx(0, abs=1e-3)
         if isinstance(primitive, Cone):
             assert np.all((part.mesh.vertices[np.unique(part.mesh.faces[mine])] - primitive.apex) @ primitive.axis > 0)
     assert {primitive.kind for primitive in part.primitives} == {"plane", "cylinder", "cone"}
