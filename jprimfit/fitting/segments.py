@@ -28,37 +28,41 @@ def segment(points: Any, weights: Any = None, normals: Any = None) -> Segment:
     points = _numbers(points, "points", 3)
     if len(points) == 0:
         raise ValueError("points has no rows: give at least one point.")
-    weights = np.ones(len(points)) if weights is None else _numbers(weights, "weights", None)
-    if len(weights) != len(points):
-        raise ValueError(f"weights has {len(weights)} values and points {len(points)} rows: give one weight per point.")
-    if weights.min() < 0.0:
-        raise ValueError(f"weights holds {weights.min():g}, but none may be negative.")
+    count = len(points)
     normals = None if normals is None else _numbers(normals, "normals", 3)
-    if normals is not None and len(normals) != len(points):
-        raise ValueError(f"normals has {len(normals)} rows and points {len(points)}: give one normal per point.")
-    counted = weights > MIN_WEIGHT * weights.max()
-    if not counted.any():
-        return Segment(points[:0], weights[:0], None, points[0] + (points - points[0]).mean(axis=0), 0.0)
-    if not counted.all():
+    if normals is not None and len(normals) != count:
+        raise ValueError(f"normals has {len(normals)} rows and points {count}: give one normal per point.")
+    if weights is None:
+        weights = np.ones(count)
+    else:
+        weights = _numbers(weights, "weights", None)
+        if len(weights) != count:
+            raise ValueError(f"weights has {len(weights)} values and points {count} rows: give one weight per point.")
+        if weights.min() < 0.0:
+            raise ValueError(f"weights holds {weights.min():g}, but none may be negative.")
+        counted = weights > MIN_WEIGHT * weights.max()
+        if not counted.any():
+            return Segment(points[:0], weights[:0], None, points[0] + (points - points[0]).mean(axis=0), 0.0)
         points, weights, normals = points[counted], weights[counted], None if normals is None else normals[counted]
-    weights = weights / weights.max()
-    share = weights / weights.sum()
-    # Row by row, NumPy would take three numbers at a time.
-    coordinates = np.ascontiguousarray(points.T)
-    anchor = coordinates @ share
-    offset = coordinates - anchor[:, None]
-    largest = float(max(offset.max(), -offset.min()))
+        weights /= weights.max()
+    # Row by row, NumPy would take three numbers at a time; and fresh memory costs more than the sums: hence in place.
+    local = np.array(points.T, order="C")
+    total = weights.sum()
+    anchor = local @ weights / total
+    local -= anchor[:, None]
+    largest = float(max(local.max(), -local.min()))
     if largest < FAR * np.abs(anchor).max():  # the mean's rounding would show
-        anchor = anchor + offset @ share
-        offset = coordinates - anchor[:, None]
-        largest = float(max(offset.max(), -offset.min()))
+        rest = local @ weights / total
+        anchor += rest
+        local -= rest[:, None]
+        largest = float(max(local.max(), -local.min()))
     # What is left of equal points after the subtraction is rounding.
     if largest <= 8.0 * np.finfo(float).eps * float(np.abs(anchor).max()):
         return Segment(points, weights, None, anchor, 0.0)
-    offset /= largest
-    size = float(np.sqrt((np.square(offset) @ share).sum()))
-    offset /= size
-    return Segment(offset.T, weights, normals, anchor, largest * size)
+    local /= largest
+    size = float(np.sqrt(np.einsum("cn,cn,n->", local, local, weights) / total))
+    local /= size
+    return Segment(local.T, weights, normals, anchor, largest * size)
 
 
 def unit(normals: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:

@@ -21,6 +21,7 @@ from jprimfit.primitives.estimation import CONVERGED, MAX_GROWTH, MAX_ITERATIONS
 from jprimfit.types import Sphere
 
 SAMPLE = 4_096  # points of the first iterations
+BLOCK = 8_192  # points summed at a time: their intermediate values stay in the processor's cache
 _EPSILON = float(np.finfo(float).eps)
 
 
@@ -48,9 +49,7 @@ def _estimate(start: Sphere, points: np.ndarray, weights: np.ndarray) -> Estimat
     count = 1.0 / float(weights @ weights)
     coordinates = np.ascontiguousarray(points.T)
     first = np.append(np.asarray(start.center, float), float(start.radius))
-    offset = coordinates - first[:3, None]
-    distance = np.sqrt(np.einsum("cn,cn->n", offset, offset)) - first[3]
-    variance = float(weights @ np.square(distance))
+    variance = _mean_square(first, coordinates, weights)
     state = _State(np.append(first, variance), np.zeros((4, 4)), np.inf, False, 0)
     stride = len(weights) // SAMPLE
     if stride >= 2:
@@ -75,9 +74,22 @@ def _estimate(start: Sphere, points: np.ndarray, weights: np.ndarray) -> Estimat
 
 def rms(primitive: Sphere, given: Segment) -> float:
     """Root of the weighted mean squared distance."""
-    offset = given.local.T - np.asarray(primitive.center)[:, None]
-    distance = np.sqrt(np.einsum("cn,cn->n", offset, offset)) - float(primitive.radius)
-    return float(np.sqrt(given.weights @ np.square(distance) / given.weights.sum()))
+    unknown = np.append(np.asarray(primitive.center, float), float(primitive.radius))
+    return float(np.sqrt(_mean_square(unknown, given.local.T, given.weights / given.weights.sum())))
+
+
+def _blocks(count: int) -> list[slice]:
+    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
+
+
+def _mean_square(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray) -> float:
+    """The mean squared distance from the sphere."""
+    total = 0.0
+    for block in _blocks(len(weights)):
+        offset = coordinates[:, block] - unknown[:3, None]
+        distance = np.sqrt(np.einsum("cn,cn->n", offset, offset)) - unknown[3]
+        total += float(weights[block] @ np.square(distance))
+    return total
 
 
 def _solve(state: _State, coordinates: np.ndarray, weights: np.ndarray, count: float, first_variance: float) -> _State:
@@ -102,40 +114,52 @@ def _solve(state: _State, coordinates: np.ndarray, weights: np.ndarray, count: f
 
 
 def _sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, count: float) -> _Sums:
-    """The equations, their derivatives by the unknowns, and the covariance of their value."""
+    """The equations, their derivatives by the unknowns, and the covariance of their value; a block of points a time."""
+    sums = (_block_sums(unknown, coordinates[:, block], weights[block], count) for block in _blocks(len(weights)))
+    return _Sums(*(np.sum(terms, axis=0) for terms in zip(*sums, strict=True)))
+
+
+def _block_sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, count: float) -> _Sums:
     radius, v = unknown[3], unknown[4]
     half = 0.5 / radius if radius else 0.0
+    blur = SQ_BLUR * v + np.finfo(float).tiny ** 0.5
     offset = coordinates - unknown[:3, None]
-    s = np.einsum("cn,cn->n", offset, offset)
-    f = s - radius * radius
-    sq_q = 1.0 / (s + SQ_BLUR * v + np.finfo(float).tiny ** 0.5)
-    q, rest = np.sqrt(sq_q), s * sq_q
+    f = np.einsum("cn,cn->n", offset, offset)
+    sq_q = 1.0 / (f + blur)
+    f -= radius * radius
+
+    # Since s q^2 = 1 - blur q^2, every equation is a combination of w q (1, q^2, q^4, f) and w (1, f, f^2).
+    by_q, by_w = np.empty((4, len(f))), np.empty((3, len(f)))
+    np.multiply(weights, np.sqrt(sq_q), out=by_q[0])
+    np.multiply(by_q[0], sq_q, out=by_q[1])
+    np.multiply(by_q[1], sq_q, out=by_q[2])
+    np.multiply(by_q[0], f, out=by_q[3])
+    by_w[0] = weights
+    np.multiply(weights, f, out=by_w[1])
+    np.multiply(by_w[1], f, out=by_w[2])
     used = min(sphere.NUM_FREEDOM / count, 0.9)
+    center = half * np.array([-3.0 * v, -2.0 * v * (blur + v), -3.0 * blur * v * v, 1.0])
+    center_by_v = half * np.array([-3.0, -4.0 * v - 2.0 * blur, -6.0 * blur * v, 0.0])
+    level = half * np.array([-3.0 * v, 1.0, 0.0])
+    sq_half, square = half * half, radius * radius
+    noise = sq_half * np.array([v * (6.0 * v - 4.0 * square), -7.0 * v, 1.0]) + [used * v, 0.0, 0.0]
+    noise_by_v = sq_half * np.array([12.0 * v - 4.0 * square, -7.0, 0.0]) + [used, 0.0, 0.0]
 
-    # Of center, radius and variance: the equation as a factor of (u, 1, 1), and its derivative by the variance.
-    along, curved = 2.0 * half * q * (1.0 - rest), half * q * sq_q * (3.0 * rest - 5.0)
-    center = half * q * (f - 3.0 * v) - v * along + v * v * curved
-    level = half * (f - 3.0 * v)
-    sq_half = half * half
-    noise = sq_half * ((f - 3.0 * v) * f - 4.0 * v * s + 6.0 * v * v) + used * v
-    by_center = weights * (2.0 * v * curved - 3.0 * half * q - along)
-    by_noise = weights @ (sq_half * (12.0 * v - 3.0 * f - 4.0 * s)) + used * weights.sum()
-
-    scores = np.empty((5, len(s)))
-    np.multiply(offset, weights * center, out=scores[:3])
-    scores[3], scores[4] = weights * level, weights * noise
+    scores = np.empty((5, len(f)))
+    np.multiply(offset, center @ by_q, out=scores[:3])
+    np.matmul(np.stack([level, noise]), by_w, out=scores[3:])
+    sum_w, sum_f, _ = by_w.sum(axis=1)
+    moment_q, moment_w, moment_f = offset @ by_q.T, offset @ weights, offset @ by_w[1]
     jacobian = np.empty((5, 5))
-    jacobian[:3, 4], jacobian[3, 4], jacobian[4, 4] = offset @ by_center, -3.0 * half * weights.sum(), by_noise
-
+    jacobian[:3, 4], jacobian[3, 4] = moment_q @ center_by_v, -3.0 * half * sum_w
+    jacobian[4, 4] = noise_by_v[0] * sum_w + noise_by_v[1] * sum_f
     # d/dc of f is -2 u, d/dr of it -2 r; under noise -2 u_j k becomes -2 u_j k + 2 v dk/du_j.
-    share = weights * q
-    total, slope = float(share.sum()), weights * (q + v * q * sq_q)
-    jacobian[:3, :3] = -2.0 * half * ((offset * slope) @ offset.T - v * total * np.eye(3))
-    jacobian[:3, 3] = -2.0 * radius * half * (offset @ share)
-    mean, level_mean = offset @ weights, float(weights @ f)
-    jacobian[3, :3], jacobian[3, 3] = -2.0 * half * mean, -2.0 * radius * half * weights.sum()
-    jacobian[4, :3] = sq_half * (-2.0 * (offset @ (weights * f)) + 4.0 * v * mean)
-    jacobian[4, 3] = -2.0 * radius * sq_half * level_mean
+    slope = np.array([1.0, v]) @ by_q[:2]
+    jacobian[:3, :3] = -2.0 * half * ((offset * slope) @ offset.T - v * by_q[0].sum() * np.eye(3))
+    jacobian[:3, 3] = -2.0 * radius * half * moment_q[:, 0]
+    jacobian[3, :3], jacobian[3, 3] = -2.0 * half * moment_w, -2.0 * radius * half * sum_w
+    jacobian[4, :3] = sq_half * (-2.0 * moment_f + 4.0 * v * moment_w)
+    jacobian[4, 3] = -2.0 * radius * sq_half * sum_f
     return _Sums(scores.sum(axis=1), jacobian, scores @ scores.T)
 
 
