@@ -89,6 +89,7 @@ def _build(arguments: argparse.Namespace) -> int:
     config = settings.from_mapping(BuildConfig, mapping, source=arguments.config or "the command line")
     if arguments.workers is not None and arguments.workers < 1:
         raise ValueError(f"--workers {arguments.workers} cannot be; give 1 or more.")
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     begin, made = time.perf_counter(), 0
     with tqdm(total=total(config), unit="part", mininterval=0.5) as bar:
 
@@ -124,6 +125,7 @@ def _convert(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     with ExitStack() as stack:
         found = inputs(arguments.input, stack, split=arguments.split)
+        arguments.output.parent.mkdir(parents=True, exist_ok=True)
         to = arguments.to or ("traceparts" if found.is_native else "native")
         bar = stack.enter_context(tqdm(total=len(found.items), unit="input", mininterval=0.5))
         summary = convert(

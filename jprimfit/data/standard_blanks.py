@@ -17,7 +17,7 @@ from jprimfit.data.shapes import Real, box, extrude, place, polygon, regular, re
 from jprimfit.data.shapes import cone as frustum
 from jprimfit.data.solids import Solid, intersection, union
 
-SPAN = 12.0  # units of the longest side of a standard part: areas of discs are then within 0.5 %
+SPAN = 12.0  # units of the longest side of a standard part: triangles are then within 0.5 % of areas of discs
 CORE = 0.85  # core diameter of a thread in nominal diameters, by proportion
 _CHAMFER = np.deg2rad(30)  # of wrench heads and nuts, from the plane of their end
 _CHAMFER_CIRCLE = 0.95  # diameter of the circle that the chamfer leaves, in widths across flats

@@ -16,7 +16,7 @@ STANDARD = CONFIG.with_name("standard.yaml")
 
 
 def test_a_small_set_is_built_and_inspected(tmp_path, capsys):
-    out = tmp_path / "few.h5"
+    out = tmp_path / "new" / "few.h5"  # the folder is made
     words = ["data", "build", "--config", str(CONFIG), "--out", str(out), "--workers", "1"]
     assert main([*words, "train=21", "val=2", "test=2", "seed=4"]) == 0
     printed = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""Areas of exact faces over coarse triangles, beside formulas: curved faces, curved edges, cuts, and what has no kind."""
+"""Areas of exact faces over coarse triangles, beside formulas: curved faces and edges, cuts, and what has no kind."""
 
 import numpy as np
 import pytest
