@@ -50,15 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--refine",
         action=argparse.BooleanOptionalAction,
-        default=False,
-        help="score the whole pipeline, too, as fit runs it (default: only the network's own answer)",
+        default=None,
+        help="six: score the whole pipeline, too, as fit runs it; fit4cad: the whole pipeline (default) or, with "
+        "--no-refine, the network's own answer",
     )
     add("--points", type=int, default=8192, metavar="N", help="points per cloud (default 8192)")
     add("--parts", type=int, metavar="N", help="at most so many parts or clouds (default all)")
     add("--every", type=int, default=1, metavar="N", help="take every N-th of them (default 1)")
     add("--noise", type=float, metavar="P", help="Gaussian, sigma = P %% of the diagonal (default: six uniform 0.01)")
     add("--clouds", default="1-1000", metavar="A-B", help="fit4cad: clouds PCA to PCB, such as 1-151 (default all)")
-    add("--rotate", action="store_true", help="fit4cad: turn every cloud at random (seeded)")
+    add("--rotate", action="store_true", help="fit4cad: turn every cloud at random (seeded, as all that follows)")
+    add("--thin", type=float, default=100.0, metavar="P", help="fit4cad: keep P %% of the points (default 100)")
+    add("--outliers", type=float, default=0.0, metavar="P", help="fit4cad: add P %% of points in the box (default 0)")
     add("--json", type=Path, metavar="FILE", help="write the scores of every part as JSON")
     add("--table", choices=["parameters", "1", "timing"], help="a table of the paper; built: parameters")
     add("--datasets", type=int, default=100, metavar="N", help="table parameters: data sets per cell (default 100)")
@@ -106,12 +109,17 @@ def _check(arguments: argparse.Namespace) -> None:
             f"--points {arguments.points} --parts {arguments.parts} cannot be: "
             f"give {MIN_POINTS} points or more and 1 part or more."
         )
-    if arguments.method == "geometry" and (arguments.ckpt or arguments.compare or arguments.refine):
+    if arguments.method == "geometry" and (arguments.ckpt or arguments.compare or arguments.refine is not None):
         raise ValueError("--method geometry takes no network: leave --ckpt, --compare and --refine out.")
     if arguments.json and not arguments.json.absolute().parent.is_dir():
         raise ValueError(f"--json {arguments.json}: there is no folder {arguments.json.parent}; make it first.")
-    if arguments.protocol == "six" and arguments.rotate:
-        raise ValueError("--rotate belongs to --protocol fit4cad: leave it out.")
+    if arguments.protocol == "six" and (arguments.rotate or arguments.thin != 100 or arguments.outliers):
+        raise ValueError("--rotate, --thin and --outliers belong to --protocol fit4cad: leave them out.")
+    if not 0 < arguments.thin <= 100 or not 0 <= arguments.outliers <= 1000:
+        raise ValueError(
+            f"--thin {arguments.thin:g} --outliers {arguments.outliers:g} cannot be: "
+            "keep more than 0 and at most 100 %, and add 0 to 1000 %."
+        )
     if arguments.protocol == "fit4cad" and arguments.data is None:
         raise ValueError("--protocol fit4cad needs --data FILE, the HDF5 file of the benchmark's clouds.")
     if arguments.data is not None and not arguments.data.is_file():
@@ -201,29 +209,39 @@ def _test_set() -> Path:
 
 
 def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Scores the clouds one after another, prints a line each and the means."""
-    from jprimfit import pipeline
+    """Scores the clouds one after another, prints a line each and the means, of the errors of radii the median."""
     from jprimfit.data.fit4cad import read_clouds
-    from jprimfit.evaluation import overlap
+    from jprimfit.evaluation import answers, disturbance, overlap
     from jprimfit.networks import weights
 
     first, last = _range(arguments.clouds)
     model = None if arguments.method == "geometry" else weights.load(_ckpt(arguments))
+    changes = {
+        "rotate": arguments.rotate,
+        "noise": arguments.noise or 0.0,
+        "thin": arguments.thin,
+        "outliers": arguments.outliers,
+    }
     parts = []
     clouds = list(read_clouds(arguments.data, first=first, last=last))[:: arguments.every]
     for cloud in clouds[: arguments.parts]:
-        cloud = _disturbed(cloud, noise=arguments.noise or 0.0, rotate=arguments.rotate)
+        cloud = disturbance.disturbed(cloud, **changes)
         begin = time.perf_counter()
-        scene = pipeline.fit(cloud.points, model=model)
+        if model is not None and arguments.refine is False:
+            answer = answers.network_alone(model, cloud.points)
+        else:
+            answer = answers.whole_pipeline(model, cloud.points)
         seconds = time.perf_counter() - begin
-        scored = overlap.score(cloud, scene.labels, scene.surface_of, tuple(p.kind for p in scene.primitives))
+        scored = overlap.score(cloud, *answer)
         parts.append({"name": cloud.name, "points": len(cloud.points), "seconds": seconds, **scored._asdict()})
         print(_line(cloud.name, parts[-1]), flush=True)
     if not parts:
         raise ValueError(f"{arguments.data} holds none of the clouds {arguments.clouds}: give another range.")
     mean = {key: _mean([part[key] for part in parts]) for key in parts[0] if key != "name"}
+    known = [part["radius_error"] for part in parts if not np.isnan(part["radius_error"])]
+    mean["radius_error"] = float(np.median(known)) if known else float("nan")
     print(_line(f"mean {len(parts)}", mean))
-    return {"mean": mean, "parts": parts}
+    return {"changes": changes, "mean": mean, "parts": parts}
 
 
 def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -259,24 +277,12 @@ def _range(text: str) -> tuple[int, int]:
         raise ValueError(f"--clouds {text!r} is no range; expected two numbers such as 1-151.") from None
 
 
-def _disturbed(cloud, *, noise: float, rotate: bool):
-    """The cloud under a random rotation and noise in per cent of its diagonal, seeded by its name."""
-    generator = np.random.default_rng(list(cloud.name.encode()))
-    points = cloud.points
-    diagonal = np.linalg.norm(np.ptp(points, axis=0))
-    if rotate:
-        turn, _ = np.linalg.qr(generator.normal(size=(3, 3)))
-        points = points @ (turn * np.sign(np.linalg.det(turn)))
-    if noise > 0:
-        points = points + generator.normal(size=points.shape) * diagonal * noise / 100
-    return cloud._replace(points=points)
-
-
 def _line(name: str, values: dict) -> str:
     return (
         f"{name:10s} {values['points']:8.0f} points {values['seconds']:6.1f} s   "
         f"DSC surfaces {values['dsc_surfaces']:.3f} all {values['dsc_surfaces_all']:.3f} "
         f"instances {values['dsc_instances']:.3f} single {values['dsc_single']:.3f}   "
-        f"mIoU {values['miou_surfaces']:.3f} kind {values['kind_accuracy']:.3f}   "
+        f"of {values['ceiling']:.3f}   "
+        f"mIoU {values['miou_surfaces']:.3f} kind {values['kind_accuracy']:.3f} radius {values['radius_error']:.1e}   "
         f"surfaces {values['num_predicted']:.0f}/{values['num_surfaces']:.0f} none {100 * values['unassigned']:.1f} %"
     )

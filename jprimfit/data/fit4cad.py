@@ -3,7 +3,7 @@
 The source (Romanengo, Raffo, Qie, Anwer, Falcidieno: Fit4CAD, Computers & Graphics 2021) lists per cloud the points of
 every primitive. Points on a shared edge are listed by several primitives, so a primitive is a set of point rows here,
 never a label. Faces of one geometric surface share a number: a CAD cylinder is commonly two half cylinders.
-Layout of the file: a group PCnnn per cloud with points, member_ptr, member_index, inst_type, inst_surface.
+Layout of the file: a group PCnnn per cloud with points, member_ptr, member_index, inst_type, inst_surface, inst_params.
 """
 
 import re
@@ -17,6 +17,8 @@ from jprimfit.data import hdf5
 
 # Kinds of the source by their number; only the first four of KINDS below are primitives of ours.
 SOURCE_KINDS = ("other", "plane", "cylinder", "sphere", "cone", "torus")
+_WITH_RADIUS = (SOURCE_KINDS.index("cylinder"), SOURCE_KINDS.index("sphere"))
+_RADIUS = 6  # column of inst_params
 
 
 class BenchmarkCloud(NamedTuple):
@@ -27,6 +29,7 @@ class BenchmarkCloud(NamedTuple):
     members: tuple[np.ndarray, ...]  # per instance the rows of its points
     kinds: tuple[str, ...]  # per instance, of SOURCE_KINDS
     surfaces: np.ndarray  # int (instances,): instances on one geometric surface share a number
+    radii: np.ndarray  # float64 (instances,), of cylinders and spheres in the source's unit; NaN for the others
 
 
 def read_clouds(path: str | Path, *, first: int = 1, last: int = 10**6) -> Iterator[BenchmarkCloud]:
@@ -50,8 +53,10 @@ def _read_cloud(source: hdf5.Source, name: str) -> BenchmarkCloud:
     points = read("points", "f", (None, 3)).astype(np.float64)
     bounds, rows = read("member_ptr", "i", (None,)), read("member_index", "i", (None,))
     types, surfaces = read("inst_type", "i", (None,)), read("inst_surface", "i", (None,))
+    parameters = read("inst_params", "f", (None, 8))
     sizes = np.diff(bounds.astype(np.int64), prepend=0, append=len(rows))
-    sound = len(bounds) - 1 == len(types) == len(surfaces) and sizes[0] == sizes[-1] == 0 and np.all(sizes >= 0)
+    counts = {len(bounds) - 1, len(types), len(surfaces), len(parameters)}
+    sound = len(counts) == 1 and sizes[0] == sizes[-1] == 0 and np.all(sizes >= 0)
     in_range = np.all((rows >= 0) & (rows < len(points))) and np.all((types >= 0) & (types < len(SOURCE_KINDS)))
     if not (sound and in_range):
         raise ValueError(f"{source.path}: {name} is damaged: its instances do not refer to its points; fetch it again.")
@@ -61,4 +66,5 @@ def _read_cloud(source: hdf5.Source, name: str) -> BenchmarkCloud:
         members=tuple(rows[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)),
         kinds=tuple(SOURCE_KINDS[kind] for kind in types),
         surfaces=surfaces.astype(np.int64),
+        radii=np.where(np.isin(types, _WITH_RADIUS), parameters[:, _RADIUS], np.nan),
     )

@@ -32,6 +32,7 @@ def benchmark(tmp_path):
             group["member_index"] = np.concatenate(members)
             group["inst_type"] = np.array([1, 1, 0])
             group["inst_surface"] = np.array([0, 1, 2])
+            group["inst_params"] = np.zeros((3, 8))
     return path
 
 
@@ -49,6 +50,8 @@ def test_a_line_per_cloud_the_mean_and_the_json(benchmark, tmp_path, capsys):
     assert scores["mean"]["dsc_surfaces"] == pytest.approx((1 + 2 * 182 / (182 + 196)) / 2)
     assert scores["mean"]["miou_surfaces"] == scores["mean"]["left_of_others"] == 1
     assert scores["mean"]["dsc_single"] == pytest.approx(2 / 3)
+    assert scores["mean"]["ceiling"] == scores["mean"]["dsc_surfaces"] and scores["mean"]["radius_error"] is None
+    assert scores["changes"] == {"rotate": False, "noise": 0.0, "thin": 100.0, "outliers": 0.0}
 
 
 def test_clouds_are_chosen_by_number_and_step(benchmark, capsys):
@@ -62,12 +65,12 @@ def test_rotation_and_noise_are_the_same_in_every_run(benchmark, capsys, tmp_pat
     scores = []
     for number in range(2):
         goal = tmp_path / f"{number}.json"
-        words = ["--clouds", "1-1", "--rotate", "--noise", "0.2", "--json", str(goal)]
-        assert main([*COMMAND, "--data", str(benchmark), *words]) == 0
+        words = ["--clouds", "1-1", "--rotate", "--noise", "0.2", "--thin", "90", "--outliers", "2"]
+        assert main([*COMMAND, "--data", str(benchmark), *words, "--json", str(goal)]) == 0
         (part,) = json.loads(goal.read_text())["parts"]
         scores.append({key: value for key, value in part.items() if key != "seconds"})
     np.testing.assert_equal(scores[0], scores[1])  # NaN equals NaN here
-    assert scores[0]["dsc_surfaces"] > 0.8
+    assert scores[0]["dsc_surfaces"] > 0.8 and scores[0]["points"] == 348 + 7  # 90 % of 387, and 2 % of those
 
 
 @pytest.mark.parametrize("text", ["5", "a-b", "1-2-3", ""])
@@ -89,3 +92,18 @@ def test_files_of_others_are_refused(tmp_path, capsys):
 def test_numbers_without_a_meaning_are_refused(benchmark, capsys, words):
     assert main([*COMMAND, "--data", str(benchmark), *words]) == 2
     assert "0 or more" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [("--thin", "0"), ("--thin", "101"), ("--outliers", "-1"), ("--outliers", "nan")])
+def test_shares_that_cannot_be_are_refused(benchmark, capsys, words):
+    assert main([*COMMAND, "--data", str(benchmark), *words]) == 2
+    assert "cannot be" in capsys.readouterr().err
+
+
+def test_the_network_alone_answers_for_every_point(benchmark, tmp_path):
+    goal = tmp_path / "alone.json"
+    words = ["evaluate", "--protocol", "fit4cad", "--no-refine", "--data", str(benchmark), "--clouds", "1-1"]
+    assert main([*words, "--json", str(goal)]) == 0
+    (part,) = json.loads(goal.read_text())["parts"]
+    assert part["unassigned"] == 0 and part["num_predicted"] >= 1 and 0 <= part["dsc_surfaces"] <= 1
+    assert part["radius_error"] is None

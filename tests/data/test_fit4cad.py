@@ -17,6 +17,7 @@ def group(file, name, *, points=POINTS, **changes):
         "member_index": np.array([0, 1, 2, 2, 3, 4, 5], np.int32),
         "inst_type": np.array([1, 2, 2, 5], np.int8),
         "inst_surface": np.array([0, 1, 1, 2], np.int16),
+        "inst_params": np.arange(32.0).reshape(4, 8),
     }
     for array, values in (arrays | changes).items():
         if values is not None:
@@ -46,6 +47,7 @@ def test_members_are_sets_of_rows_that_may_share_points(benchmark):
     assert [rows.tolist() for rows in cloud.members] == [[0, 1, 2], [2, 3], [4, 5], []]
     assert cloud.kinds == ("plane", "cylinder", "cylinder", "torus")
     np.testing.assert_array_equal(cloud.surfaces, [0, 1, 1, 2])
+    np.testing.assert_array_equal(cloud.radii, [np.nan, 14, 22, np.nan])  # of the cylinders only
     assert set(cloud.kinds) < set(SOURCE_KINDS)
 
 

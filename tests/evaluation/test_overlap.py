@@ -10,11 +10,12 @@ from jprimfit.evaluation.overlap import score
 def cloud(members, kinds, surfaces, num_points=10):
     """A benchmark cloud of which only the segments matter."""
     rows = tuple(np.array(member, int) for member in members)
-    return BenchmarkCloud("PC001", np.zeros((num_points, 3)), rows, tuple(kinds), np.array(surfaces))
+    radii = np.array([2.0 if kind == "cylinder" else np.nan for kind in kinds])
+    return BenchmarkCloud("PC001", np.zeros((num_points, 3)), rows, tuple(kinds), np.array(surfaces), radii)
 
 
-def scored(truth, labels, surface_of, kinds):
-    return score(truth, np.array(labels, np.int32), np.array(surface_of, np.int32), tuple(kinds))
+def scored(truth, labels, surface_of, kinds, radii=None):
+    return score(truth, np.array(labels, np.int32), np.array(surface_of, np.int32), tuple(kinds), radii)
 
 
 TWO = cloud([range(0, 6), range(6, 10)], ["plane", "cylinder"], [0, 1])
@@ -99,3 +100,20 @@ def test_only_tori_leave_nothing_to_score_for_the_four_kinds():
     found = scored(truth, [-1] * 10, [], [])
     assert np.isnan([found.dsc_surfaces, found.miou_surfaces, found.kind_accuracy]).all()
     assert found.left_of_others == 1
+
+
+def test_radii_of_matched_cylinders_of_the_right_kind():
+    right = [0] * 6 + [1] * 4
+    found = scored(TWO, right, [0, 1], ["plane", "cylinder"], np.array([np.nan, 2.02]))
+    assert found.radius_error == pytest.approx(0.01)
+    assert np.isnan(scored(TWO, right, [0, 1], ["plane", "sphere"], np.array([np.nan, 2.02])).radius_error)
+    assert np.isnan(scored(TWO, [0] * 9 + [1], [0, 1], ["plane", "cylinder"], np.array([np.nan, 2.0])).radius_error)
+
+
+def test_the_ceiling_is_the_score_of_the_true_labels():
+    assert scored(TWO, [-1] * 10, [], []).ceiling == 1
+    # Rows 4 and 5 lie on the edge; the smaller surface has them: 2 * 4 / (4 + 6) for the plane.
+    edge = cloud([range(0, 6), range(4, 9)], ["plane", "cylinder"], [0, 1])
+    labels = [0] * 4 + [1] * 5 + [-1]
+    found = scored(edge, labels, [0, 1], ["plane", "cylinder"])
+    assert found.ceiling == found.dsc_surfaces == pytest.approx((8 / 10 + 1) / 2)
