@@ -2,7 +2,8 @@
 
 Every step keeps the map to the input: row j of the result is row index[j] of the scan. What was removed is listed and
 reported, nothing is dropped silently. The scan is float64 in any unit and position; the result is float32 in the
-normalised frame of what the filter left (centroid at 0, longest side of the box 2).
+normalised frame of what the filter left (centroid at 0, longest side of the box 2), rounded to multiples of STEP: what
+the unit and the position of a scan leave in the last digits of its coordinates must not decide where surfaces end.
 """
 
 import time
@@ -15,6 +16,8 @@ from jprimfit.geometry import host
 from jprimfit.preprocessing.downsampling import downsample
 from jprimfit.preprocessing.outliers import Mode, find_outliers
 from jprimfit.preprocessing.smoothing import gaussian_smooth
+
+STEP = 2.0**-20  # of coordinates in the normalised frame: half a millionth of the scan
 
 
 class Preprocessed(NamedTuple):
@@ -57,6 +60,7 @@ def preprocess(
         seconds["smooth"] = time.perf_counter() - start
 
     start = time.perf_counter()
+    normalised = (np.round(normalised.astype(np.float64) / STEP) * STEP).astype(np.float32)
     rows = downsample(normalised, max_points=max_points, num_points=num_points)
     seconds["downsample"] = time.perf_counter() - start
     report = {

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from jprimfit.preprocessing.steps import preprocess, propagate
+from jprimfit.preprocessing.steps import STEP, preprocess, propagate
 
 
 def scan(num_points=1500, num_outliers=30):
@@ -23,7 +23,7 @@ def test_points_lead_back_to_their_rows():
     done = preprocess(points, max_points=700, num_points=256)
     assert done.points.shape == (256, 3) and done.points.dtype == np.float32
     assert done.index.dtype == np.int32 and len(set(done.index.tolist())) == 256
-    np.testing.assert_allclose(done.frame.to_input(done.points), points[done.index], atol=1e-5)
+    np.testing.assert_allclose(done.frame.to_input(done.points), points[done.index], atol=STEP * done.frame.scale)
     assert not set(done.index.tolist()) & set(done.removed.tolist())
     assert len(set(outliers.tolist()) & set(done.removed.tolist())) > 0.8 * len(outliers)
     assert done.removed.tolist() == sorted(done.removed.tolist())
