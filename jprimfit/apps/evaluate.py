@@ -1,21 +1,24 @@
 """`jprimfit evaluate`: how well segmentations agree with the truth of a data set or a benchmark.
 
---protocol six: the six metrics (evaluation/six) of a network's own answer, of the whole pipeline, and of geometry
-alone, over the parts of one split. --protocol fit4cad: the overlap measures of evaluation/overlap over a file of
-Fit4CAD clouds. Tables go to stdout, progress to stderr.
+--protocol six: the six metrics (evaluation/six) of a network's own answer, of the whole pipeline, of geometry alone and
+of Efficient RANSAC, over the parts of one split. --protocol fit4cad: the overlap measures of evaluation/overlap over a
+file of Fit4CAD clouds. Tables go to stdout, progress to stderr.
 """
 
 import argparse
+import contextlib
 import json
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from jprimfit.evaluation.ransac import Detector, Settings
     from jprimfit.networks.weights import Model
 
 EXAMPLES = """examples:
@@ -24,18 +27,27 @@ EXAMPLES = """examples:
   python evaluate.py --compare --json scores.json          network, network with refinement, and geometry alone
   python evaluate.py --data parts.h5 --split val --noise 1
   python evaluate.py --protocol fit4cad --data fit4cad.h5 --clouds 1-151 --method geometry
+  python evaluate.py --method ransac --refine              CGAL's Efficient RANSAC, its own fits and ours
   python evaluate.py --table parameters --datasets 1000    single primitives against the bounds of statistics
 
 what is measured (--protocol six), per part, then the mean over parts with its standard error:
   mIoU (of true surfaces with the found ones), type (share of right kinds), normal and axis (degrees),
   residual (distance of clean points to the found surface; the part is 2 long), P cover (points nearer than 0.01)
 """
-METHODS = ("pointconv", "spfn", "geometry")
+METHODS = ("pointconv", "spfn", "geometry", "ransac")
+NO_NETWORK = ("geometry", "ransac")
 BLOCKS = ("whole", "part", "few-points", "coverage")
-LATER = ("cpfn", "ransac")
+LATER = ("cpfn",)
 BATCH = 8  # clouds that a network sees at once
 MIN_POINTS = 128
-WORDS = {"network": "network", "refined": "network + refinement", "geometry": "geometry alone"}
+WORDS = {
+    "network": "network",
+    "refined": "network + refinement",
+    "geometry": "geometry alone",
+    "ransac": "Efficient RANSAC",
+    "refitted": "Efficient RANSAC + refit",
+}
+RANSAC_SETTINGS = ("default", "tuned", "noise-0.5", "noise-1")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,8 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         default=None,
         help="six: score the whole pipeline, too, as fit runs it; fit4cad: the whole pipeline (default) or, with "
-        "--no-refine, the network's own answer",
+        "--no-refine, the network's own answer; ransac: fit its segments again by ours",
     )
+    add("--ransac", choices=RANSAC_SETTINGS, default="tuned", help="settings of --method ransac (default tuned)")
     add("--points", type=int, default=8192, metavar="N", help="points per cloud (default 8192)")
     add("--parts", type=int, metavar="N", help="at most so many parts or clouds (default all)")
     add("--every", type=int, default=1, metavar="N", help="take every N-th of them (default 1)")
@@ -109,8 +122,10 @@ def _check(arguments: argparse.Namespace) -> None:
             f"--points {arguments.points} --parts {arguments.parts} cannot be: "
             f"give {MIN_POINTS} points or more and 1 part or more."
         )
-    if arguments.method == "geometry" and (arguments.ckpt or arguments.compare or arguments.refine is not None):
-        raise ValueError("--method geometry takes no network: leave --ckpt, --compare and --refine out.")
+    if arguments.method in NO_NETWORK and (arguments.ckpt or arguments.compare):
+        raise ValueError(f"--method {arguments.method} takes no network: leave --ckpt and --compare out.")
+    if arguments.method == "geometry" and arguments.refine is not None:
+        raise ValueError("--method geometry has nothing to refine: leave --refine out.")
     if arguments.json and not arguments.json.absolute().parent.is_dir():
         raise ValueError(f"--json {arguments.json}: there is no folder {arguments.json.parent}; make it first.")
     if arguments.protocol == "six" and (arguments.rotate or arguments.thin != 100 or arguments.outliers):
@@ -136,12 +151,12 @@ def _six(arguments: argparse.Namespace) -> dict[str, Any]:
     from jprimfit.evaluation import six, tables
     from jprimfit.networks import weights
 
-    names = ["geometry"] if arguments.method == "geometry" else ["network"]
+    names = [arguments.method] if arguments.method in NO_NETWORK else ["network"]
     if arguments.refine or arguments.compare:
-        names.append("refined")
+        names.append("refitted" if arguments.method == "ransac" else "refined")
     if arguments.compare:
         names.append("geometry")
-    model = None if arguments.method == "geometry" else weights.load(_ckpt(arguments))
+    model = None if arguments.method in NO_NETWORK else weights.load(_ckpt(arguments))
     data = arguments.data or _test_set()
     with Dataset(data) as dataset:
         numbers = six.parts_of(dataset, arguments.split, every=arguments.every, most=arguments.parts)
@@ -172,23 +187,35 @@ def _rows(name: str, dataset: Any, numbers: Any, model: "Model | None", argument
     """The scores of one method on all parts, with a bar that shows the mean mIoU."""
     from tqdm import tqdm
 
-    from jprimfit.evaluation import six
+    from jprimfit.evaluation import answers, six
 
     network = model.config if model is not None and name == "network" else None
     found = six.cases(dataset, numbers, network=network, num_points=arguments.points, noise=arguments.noise)
-    scores: Iterator[dict[str, Any]]
-    if name == "network":
-        assert model is not None
-        scores = six.network_scores(model, found, batch_size=min(BATCH, len(numbers)))
-    else:
-        scores = six.scene_scores(found, six.pipeline_with(None if name == "geometry" else model))
     rows = []
-    with tqdm(total=len(numbers), desc=WORDS[name], unit="part", mininterval=0.5, file=sys.stderr) as bar:
+    with contextlib.ExitStack() as stack:
+        scores: Iterator[dict[str, Any]]
+        if name == "network":
+            assert model is not None
+            scores = six.network_scores(model, found, batch_size=min(BATCH, len(numbers)))
+        elif name in ("ransac", "refitted"):
+            settings, detect = _detector(arguments, stack)
+            answer = partial(answers.ransac_scene, detect, settings, refit=name == "refitted")
+            scores = six.scene_scores(found, answer)
+        else:
+            scores = six.scene_scores(found, six.pipeline_with(None if name == "geometry" else model))
+        bar = stack.enter_context(tqdm(total=len(numbers), desc=WORDS[name], unit="part", mininterval=0.5))
         for row in scores:
             rows.append(row)
             bar.set_postfix_str(f"mIoU {100 * np.mean([row['miou'] for row in rows]):.1f} %", refresh=False)
             bar.update(1)
     return rows
+
+
+def _detector(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> "tuple[Settings, Detector]":
+    from jprimfit.evaluation import ransac
+
+    detect = stack.enter_context(ransac.Detector(lambda sentence: print(f"jprimfit: {sentence}", file=sys.stderr)))
+    return ransac.SETTINGS[arguments.ransac], detect
 
 
 def _test_set() -> Path:
@@ -215,7 +242,7 @@ def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
     from jprimfit.networks import weights
 
     first, last = _range(arguments.clouds)
-    model = None if arguments.method == "geometry" else weights.load(_ckpt(arguments))
+    model = None if arguments.method in NO_NETWORK else weights.load(_ckpt(arguments))
     changes = {
         "rotate": arguments.rotate,
         "noise": arguments.noise or 0.0,
@@ -224,17 +251,22 @@ def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
     }
     parts = []
     clouds = list(read_clouds(arguments.data, first=first, last=last))[:: arguments.every]
-    for cloud in clouds[: arguments.parts]:
-        cloud = disturbance.disturbed(cloud, **changes)
-        begin = time.perf_counter()
-        if model is not None and arguments.refine is False:
-            answer = answers.network_alone(model, cloud.points)
+    with contextlib.ExitStack() as stack:
+        if arguments.method == "ransac":
+            settings, detect = _detector(arguments, stack)
+            answer = partial(answers.efficient_ransac, detect, settings, refit=bool(arguments.refine))
+        elif model is not None and arguments.refine is False:
+            answer = partial(answers.network_alone, model)
         else:
-            answer = answers.whole_pipeline(model, cloud.points)
-        seconds = time.perf_counter() - begin
-        scored = overlap.score(cloud, *answer)
-        parts.append({"name": cloud.name, "points": len(cloud.points), "seconds": seconds, **scored._asdict()})
-        print(_line(cloud.name, parts[-1]), flush=True)
+            answer = partial(answers.whole_pipeline, model)
+        for cloud in clouds[: arguments.parts]:
+            cloud = disturbance.disturbed(cloud, **changes)
+            begin = time.perf_counter()
+            found = answer(cloud.points)
+            seconds = time.perf_counter() - begin
+            scored = overlap.score(cloud, *found)
+            parts.append({"name": cloud.name, "points": len(cloud.points), "seconds": seconds, **scored._asdict()})
+            print(_line(cloud.name, parts[-1]), flush=True)
     if not parts:
         raise ValueError(f"{arguments.data} holds none of the clouds {arguments.clouds}: give another range.")
     mean = {key: _mean([part[key] for part in parts]) for key in parts[0] if key != "name"}

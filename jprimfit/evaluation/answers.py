@@ -1,4 +1,4 @@
-"""Answers for the clouds of a benchmark as labels of all points: of the whole pipeline, and of a network alone."""
+"""Answers for the clouds of a benchmark as labels of all points: the whole pipeline's, a network's own, RANSAC's."""
 
 from typing import NamedTuple
 
@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jprimfit import pipeline
+from jprimfit.evaluation.ransac import Detected, Detector, Settings
 from jprimfit.geometry import host
 from jprimfit.networks import inference
 from jprimfit.networks.weights import Model
 from jprimfit.primitives.table import KINDS
+from jprimfit.scene import Scene
 
 
 class Answer(NamedTuple):
@@ -21,11 +23,33 @@ class Answer(NamedTuple):
     radii: Float[np.ndarray, "p"]  # of cylinders and spheres, NaN for the others
 
 
+def of_scene(scene: Scene | Detected) -> Answer:
+    """What a scene says of its points."""
+    primitives = scene.primitives
+    radii = np.array([float(getattr(primitive, "radius", np.nan)) for primitive in primitives])
+    surface_of = scene.surface_of if isinstance(scene, Scene) else np.arange(len(primitives))
+    return Answer(scene.labels, surface_of, tuple(primitive.kind for primitive in primitives), radii)
+
+
 def whole_pipeline(model: Model | None, points: Float[np.ndarray, "n 3"]) -> Answer:
     """What jprimfit.fit says, with a network or by geometry alone."""
-    scene = pipeline.fit(points, model=model)
-    radii = [float(getattr(primitive, "radius", np.nan)) for primitive in scene.primitives]
-    return Answer(scene.labels, scene.surface_of, tuple(p.kind for p in scene.primitives), np.array(radii))
+    return of_scene(pipeline.fit(points, model=model))
+
+
+def efficient_ransac(detect: Detector, settings: Settings, points: Float[np.ndarray, "n 3"], *, refit: bool) -> Answer:
+    """What CGAL's RANSAC says."""
+    return of_scene(ransac_scene(detect, settings, points, refit=refit))
+
+
+def ransac_scene(
+    detect: Detector, settings: Settings, points: Float[np.ndarray, "n 3"], *, refit: bool
+) -> Scene | Detected:
+    """The same with its primitives; with refit, those are fitted again to its segments, of its kinds, by ours."""
+    found = detect(points, settings)
+    if not (refit and found.primitives):
+        return found
+    kinds = {label: primitive.kind for label, primitive in enumerate(found.primitives)}
+    return pipeline.fit(points, labels=found.labels, kind_of=kinds)
 
 
 def network_alone(model: Model, points: Float[np.ndarray, "n 3"]) -> Answer:

@@ -23,6 +23,7 @@ from jprimfit.data.examples import Example
 from jprimfit.data.native import Dataset
 from jprimfit.data.noise import sigma_of_percent
 from jprimfit.data.records import KINDS, MAX_INSTANCES, Part
+from jprimfit.evaluation.ransac import Detected
 from jprimfit.evaluation.tables import INSTANCE_METRICS
 from jprimfit.geometry import host, safe
 from jprimfit.geometry.hierarchy import HierarchySpec
@@ -112,7 +113,7 @@ def network_scores(model: Model, found: Iterator[Case], *, batch_size: int) -> I
 
 
 def scene_scores(
-    found: Iterator[Case], answer: Callable[[Float[np.ndarray, "n 3"]], Scene]
+    found: Iterator[Case], answer: Callable[[Float[np.ndarray, "n 3"]], Scene | Detected]
 ) -> Iterator[dict[str, Any]]:
     """The score of the scene that `answer` makes of each case's points; its seconds are those of the answer."""
     first = True
@@ -130,7 +131,7 @@ def pipeline_with(model: Model | None) -> Callable[[Float[np.ndarray, "n 3"]], S
     return lambda points: pipeline.fit(points, model=model)
 
 
-def score_scene(case: Case, scene: Scene) -> dict[str, Any]:
+def score_scene(case: Case, scene: Scene | Detected) -> dict[str, Any]:
     """The values of `measure` for a scene of the case's points."""
     example = case.example
     labels = np.full(len(example.points), -1, np.int32)

@@ -145,9 +145,12 @@ def test_the_test_set_needs_what_builds_solids(monkeypatch, tmp_path, capsys):
         (["--noise", "-1"], "a noise of 0 or more"),
         (["--every", "0"], "a step of 1 or more"),
         (["--json", "nowhere/scores.json"], "there is no folder nowhere"),
-        (["--rotate"], "--rotate belongs to --protocol fit4cad"),
+        (["--rotate"], "--rotate, --thin and --outliers belong to --protocol fit4cad"),
+        (["--thin", "30"], "--rotate, --thin and --outliers belong to --protocol fit4cad"),
         (["--compare"], "--method geometry takes no network"),
-        (["--method", "ransac"], "--method ransac is not built yet"),
+        (["--method", "ransac", "--ckpt", "default"], "--method ransac takes no network"),
+        (["--no-refine"], "--method geometry has nothing to refine"),
+        (["--method", "cpfn"], "--method cpfn is not built yet"),
         (["--method", "magic"], "--method 'magic' is none"),
         (["--table", "1"], "--table 1 is not built yet"),
         (["--protocol", "fit4cad", "--data", "absent.h5"], "absent.h5"),
@@ -177,3 +180,14 @@ def test_help_tells_what_is_measured(capsys):
     assert stop.value.code == 0
     for words in ("--ckpt DIR", "--compare", "--[no-]refine", "--noise P", "mIoU", "examples:", "P % of the diagonal"):
         assert words in out or words in out.replace("--refine, --no-refine", "--[no-]refine")
+
+
+def test_ransac_is_scored_with_its_own_fits_and_with_ours(parts_file, tmp_path):
+    goal = tmp_path / "ransac.json"
+    words = ["--data", str(parts_file), "--points", "300", "--method", "ransac", "--refine", "--noise", "0"]
+    assert main(["evaluate", *words, "--ransac", "default", "--json", str(goal)]) == 0
+    methods = json.loads(goal.read_text())["methods"]
+    assert list(methods) == ["ransac", "refitted"]
+    for scores in methods.values():
+        assert len(scores["parts"]) >= 1
+        assert all(0 <= part["miou"] <= 1 and part["seconds"] != 0 for part in scores["parts"])
