@@ -8,6 +8,7 @@ from pathlib import Path
 EXAMPLES = """examples:
   python train.py --config configs/tiny.yaml
   python train.py --config configs/small.yaml --workdir runs/mine optimizer.learning_rate=3e-3 train.steps=20000
+  python train.py --config configs/small.yaml --profile
   python train.py --config configs/paper.yaml --coordinator host0:1234 --num-processes 2 --process-id 0
 
 A workdir that holds a run is resumed from its newest checkpoint, and refused if the settings differ. --fresh puts that
@@ -23,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--workdir", type=Path, metavar="DIR", help="where all results go (default runs/NAME)")
     parser.add_argument("--fresh", action="store_true", help="begin anew; a run in the workdir is put aside")
+    parser.add_argument("--profile", action="store_true", help="only print where the time of a step goes, part by part")
     parser.add_argument(
         "--coordinator", metavar="HOST:PORT", help="of process 0, or auto: several hosts train together"
     )
@@ -41,6 +43,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     use_compilation_cache()
     chosen = config.read(arguments.config, arguments.settings)
+    if arguments.profile:
+        from jprimfit.training import profile
+
+        print(profile.text(profile.profile(chosen)))
+        return 0
     folder = arguments.workdir or Path("runs") / arguments.config.stem
     if arguments.coordinator:
         parallel.initialise_distributed(arguments.coordinator, arguments.num_processes, arguments.process_id)

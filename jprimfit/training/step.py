@@ -81,7 +81,9 @@ def train_step(segmenter: nn.Module, *, config: Config, num_steps: int) -> Calla
         length = optax.global_norm(slopes)
         finite = jnp.isfinite(terms["total"]) & jnp.isfinite(length)
         metrics = {**terms, "gradient_norm": length, "learning_rate": learning_rate, "finite": finite}
-        return states.update(state, slopes, batch_stats, learning_rate, config=config.optimizer), metrics
+        with jax.named_scope("update"):
+            state = states.update(state, slopes, batch_stats, learning_rate, config=config.optimizer)
+        return state, metrics
 
     return step
 
@@ -117,7 +119,8 @@ def _loss(
     segmenter: nn.Module, variables: Any, example: Example | Scan, key: Any, *, config: Config
 ) -> tuple[dict, Any]:
     """The terms of one cloud, and the statistics of the batch it is part of."""
-    inputs = network_inputs(example, model=config.model)
+    with jax.named_scope("inputs"):
+        inputs = network_inputs(example, model=config.model)
     prediction, changed = segmenter.apply(
         variables,
         *inputs,
@@ -127,7 +130,9 @@ def _loss(
         mutable=["batch_stats"],
     )
     seen = example.points[example.query.astype(jnp.int32)]
-    return losses(prediction, example.truth, seen, config.loss), changed.get("batch_stats", {})
+    with jax.named_scope("losses"):
+        terms = losses(prediction, example.truth, seen, config.loss)
+    return terms, changed.get("batch_stats", {})
 
 
 def _segments(example: Example | Scan, config: Config) -> Any:
