@@ -57,7 +57,8 @@ def part_of_body(
     if not primitives:
         return None
     mesh = Mesh(body.vertices.astype(np.float32), body.faces.astype(np.int32), labels)
-    background = float(np.sum(areas[labels == BACKGROUND])) / scale**2
+    # Slivers thinner than the arcs over their edges may sum to less than nothing (areas.exact_areas).
+    background = max(0.0, float(np.sum(areas[labels == BACKGROUND])) / scale**2)
     return Part(
         name=name,
         primitives=primitives,
