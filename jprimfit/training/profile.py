@@ -153,9 +153,10 @@ def _own_times(events: Iterable[Mapping[str, Any]]) -> list[tuple[str, float]]:
         for event in sorted(several, key=lambda e: (e["ts"], -e["dur"])):
             while open_ and open_[-1][0] <= event["ts"]:
                 found.append(tuple(open_.pop()[1:]))
+            length = float(event["dur"])
             if open_:
-                open_[-1][2] -= event["dur"]
-            open_.append([event["ts"] + event["dur"], event["args"]["hlo_op"], event["dur"]])
+                open_[-1][2] -= length
+            open_.append([event["ts"] + length, event["args"]["hlo_op"], length])
         found += [tuple(one[1:]) for one in open_]
     return found
 

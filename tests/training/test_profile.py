@@ -36,7 +36,7 @@ def test_operations_inside_others_count_once():
     events = [event("loop", 0, 10), event("step", 2, 3), event("step", 6, 1), event("head", 10, 4), event("?", 3, 2, 7)]
     events.append({"ph": "M", "pid": 1, "name": "process_name", "args": {"name": "host"}})
     found = profile.shares(events, scope_of)
-    assert list(found) == ["losses", "decoder 2", "heads", "other"] or sum(map(sum, found.values())) == pytest.approx(1)
+    assert list(found)[0] == "losses" and sum(map(sum, found.values())) == pytest.approx(1)
     assert found["losses"] == pytest.approx((6 / 16, 0)) and found["decoder 2"] == pytest.approx((0, 4 / 16))
     assert found["heads"] == pytest.approx((4 / 16, 0)) and found["other"] == pytest.approx((2 / 16, 0))
 
