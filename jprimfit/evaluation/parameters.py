@@ -19,7 +19,8 @@ from jaxtyping import Float
 from scipy import stats
 
 from jprimfit.evaluation import bounds, patches
-from jprimfit.evaluation.patches import Patch, steps_between
+from jprimfit.evaluation.patches import Patch
+from jprimfit.fitting.info import sq_distance, step_between
 from jprimfit.fitting.single import fit_primitive
 from jprimfit.io.text_table import text_table
 
@@ -53,7 +54,7 @@ class Outcome(NamedTuple):
 
     ok: bool
     errors: Float[np.ndarray, " f"]  # signed, of the listed parameters
-    step: Float[np.ndarray, " p"]  # from the truth to the answer, in the coordinates of `retract` about the anchor
+    step: Float[np.ndarray, " p"]  # from the truth to the answer, in the coordinates of Info
     sq_distance: float  # of the truth from the answer in its own covariance: chi-squared with p degrees if that holds
     sigma: float  # found over true
     seconds: float
@@ -218,9 +219,8 @@ def _drawn(cell: Cell, number: int, datasets: range) -> Iterator[Outcome]:
         start = time.perf_counter()
         found, info = fit_primitive(truth.kind, points, robust=num_outliers > 0)
         seconds = time.perf_counter() - start
-        step, back = steps_between(truth, found, info.anchor)
-        known = cell.noise > 0.0 and info.ok
-        sq_distance = float(back @ np.linalg.solve(info.covariance, back)) if known else 0.0
+        step = step_between(truth, found, info.anchor)
+        away = sq_distance(found, info, truth) if cell.noise > 0.0 and info.ok else 0.0
         errors = patches.fields(found, truth) - patches.fields(truth, truth)
         noise = cell.noise * cell.patch.unit
-        yield Outcome(info.ok, errors, step, sq_distance, info.sigma / noise if noise else 0.0, seconds)
+        yield Outcome(info.ok, errors, step, away, info.sigma / noise if noise else 0.0, seconds)

@@ -8,14 +8,11 @@ image of the unit square, even by area. Edges are a0, a1 (height, or first coord
 import math
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from jprimfit.fitting import kinds
 from jprimfit.geometry.linalg import HIGHEST
-from jprimfit.primitives.table import MODULES
 from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
 _Z, _ORIGIN, _TURN = np.array([0.0, 0.0, 1.0]), np.zeros(3), 2.0 * math.pi
@@ -97,31 +94,3 @@ def fields(primitive: Primitive, truth: Primitive) -> Float[np.ndarray, " f"]:
         axis, center, radius = values
         values = [axis, center + axis * (axis @ (np.asarray(truth.center) - center)), radius]
     return np.concatenate(values)
-
-
-def steps_between(truth: Primitive, found: Primitive, anchor: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
-    """The steps (`retract`, origin at the anchor) that lead from the truth to what was found, and back."""
-    with jax.enable_x64(True):
-        a, b = (_centred(primitive, anchor) for primitive in (truth, found))
-        return np.asarray(_step(a, b)), np.asarray(_step(b, a))
-
-
-def _centred(primitive: Primitive, anchor: Float[np.ndarray, "3"]) -> Primitive:
-    module = MODULES[primitive.kind]
-    local = jax.tree.map(jnp.asarray, kinds.move(primitive, -anchor, 1.0))
-    return module.canonical(local, jnp.zeros(3))
-
-
-@jax.jit
-def _step(start: Any, end: Any) -> Float[Array, " p"]:
-    """Gauss-Newton on the fields, from the step 0."""
-    module = MODULES[start.kind]
-
-    def difference(step: Float[Array, " p"]) -> Float[Array, " f"]:
-        moved = module.canonical(module.retract(start, step), jnp.zeros(3))
-        return jnp.concatenate([(a - b).reshape(-1) for a, b in zip(moved, end, strict=True)])
-
-    def improved(_, step: Float[Array, " p"]) -> Float[Array, " p"]:
-        return step - jnp.linalg.lstsq(jax.jacfwd(difference)(step), difference(step))[0]
-
-    return jax.lax.fori_loop(0, 12, improved, jnp.zeros(module.NUM_FREEDOM))

@@ -7,7 +7,7 @@ n points, p unknowns of the kind.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jprimfit.fitting import associations, full_cone, kinds, planes, segments, spheres, starts
+from jprimfit.fitting.info import STEP_UNITS, Info, reported, semidefinite
 from jprimfit.fitting.segments import Segment
 from jprimfit.geometry.linalg import frame_of
 from jprimfit.primitives.estimation import Estimate, estimate
@@ -31,27 +32,6 @@ MIN_PADDED = 256
 OUTLIER = 3.5  # distances beyond so many standard deviations (from the median) are left out of a robust fit
 ROUNDS = 3  # of a robust fit's choice of points
 NORMAL_SHARE = 0.6745  # the median of |x| for a normal x of standard deviation 1
-
-
-class Info(NamedTuple):
-    """How a primitive was found and how well it is known.
-
-    The covariance is that of a minimal step from the answer, taken about the anchor; its coordinates are those of
-    `retract` in primitives/<kind>.py with the origin at the anchor, u and v the first rows of linalg.frame_of(axis):
-        plane: tilts towards u and v, shift along the normal      sphere: center x, y, z, radius
-        cylinder: tilts, shifts of the axis along u and v, radius
-        cone: tilts about the axis point nearest the anchor, shifts of it along u and v, push along the surface's
-            normal, half-angle.
-    Lengths in the points' unit, angles in radians. What the points cannot tell has a huge variance.
-    """
-
-    ok: bool  # the points determined the primitive; where False the values are finite, no more
-    sigma: float  # standard deviation of the noise in each coordinate
-    rms: float  # root of the weighted mean squared distance
-    covariance: Float[np.ndarray, "p p"]  # inf where the method has none (extreme points decide)
-    anchor: Float[np.ndarray, "3"]  # weighted mean of the points
-    num_iterations: int
-    method: str  # "unbiased", "likelihood" (a cone whose whole surface was seen evenly), or the one asked for
 
 
 def fit_primitive(
@@ -143,7 +123,7 @@ def _answer(
     primitive: Primitive, given: Segment, ok: Any, sigma: Any, covariance: Any, num_iterations: Any, method: str
 ) -> tuple[Primitive, Info]:
     rms = spheres.rms(primitive, given) if isinstance(primitive, Sphere) else float(_on_padded(_rms, primitive, given))
-    covariance = np.asarray(covariance)
+    covariance = semidefinite(np.asarray(covariance))
     return _as_float64(primitive), Info(
         bool(ok), rms if sigma is None else float(sigma), rms, covariance, given.anchor, int(num_iterations), method
     )
@@ -165,40 +145,12 @@ def _undetermined(kind: str, given: Segment, method: str) -> tuple[Primitive, In
 def _in_input_frame(found: tuple[Primitive, Info], given: Segment) -> tuple[Primitive, Info]:
     primitive, info = found
     size = given.size or 1.0
-    units = size ** np.asarray(MODULES[primitive.kind].STEP_UNITS, float)
     with np.errstate(over="ignore", invalid="ignore"):
-        covariance = np.nan_to_num(units[:, None] * info.covariance * units[None, :], nan=np.inf, posinf=np.inf)
+        told = reported(primitive, info.covariance)
+        units = size ** np.asarray(STEP_UNITS[primitive.kind], float)
+        covariance = np.nan_to_num(units[:, None] * told * units[None, :], nan=np.inf, posinf=np.inf)
     info = info._replace(sigma=size * info.sigma, rms=size * info.rms, covariance=covariance)
     return kinds.move(primitive, given.anchor, size), info
-
-
-def standard_errors(primitive: Primitive, info: Info) -> dict[str, float]:
-    """Standard errors of what a drawing states, from the covariance; inf where the method has none.
-
-    Keys: "direction" (radians, of normal or axis), "offset", "position" (of the center, across the axis for a
-    cylinder; of a cone's apex), "radius", "half_angle", in the unit of the points.
-    """
-    covariance = info.covariance
-
-    def spread(*which: int) -> float:
-        return float(np.sqrt(max(sum(covariance[i, i] for i in which), 0.0)))
-
-    if isinstance(primitive, Plane):
-        return {"direction": spread(0, 1), "offset": spread(2)}
-    if isinstance(primitive, Sphere):
-        return {"position": spread(0, 1, 2), "radius": spread(3)}
-    if isinstance(primitive, Cylinder):
-        return {"direction": spread(0, 1), "position": spread(2, 3), "radius": spread(4)}
-    return {"direction": spread(0, 1), "position": _apex_error(primitive, info), "half_angle": spread(5)}
-
-
-def _apex_error(cone: Cone, info: Info) -> float:
-    if not np.all(np.isfinite(info.covariance)):
-        return float("inf")
-    with jax.enable_x64(True):
-        local = jax.tree.map(jnp.asarray, kinds.move(cone, -info.anchor, 1.0))
-        moved = jax.jacfwd(lambda step: MODULES["cone"].retract(local, step).apex)(jnp.zeros(6))
-    return float(np.sqrt(max(np.trace(np.asarray(moved) @ info.covariance @ np.asarray(moved).T), 0.0)))
 
 
 def _solve(start: Primitive, given: Segment) -> Estimate:

@@ -5,7 +5,7 @@ import pytest
 
 import jprimfit
 from jprimfit.cad.uncertainty import standard_errors
-from jprimfit.fitting.single import standard_errors as of_fit
+from jprimfit.fitting.info import standard_errors as of_fit
 from jprimfit.types import Cone, Cylinder, Plane, Sphere
 
 AXIS = np.array([0.6, 0.0, 0.8])

@@ -45,17 +45,6 @@ def test_a_known_density_tells_little_of_a_plane_and_much_of_a_cone():
     assert bounds.full_density(cone, 0.01, 1000) is None
 
 
-def test_steps_lead_from_one_primitive_to_the_other_and_back():
-    anchor = np.array([1.0, 2.0, 3.0])
-    for patch in patches.WHOLE:
-        ahead, back = patches.steps_between(patch.truth, patch.truth, anchor)
-        np.testing.assert_allclose([*ahead, *back], 0, atol=1e-12)
-    sphere = patches.SPHERE._replace(radius=np.float64(6.5))
-    ahead, back = patches.steps_between(patches.SPHERE, sphere, anchor)
-    np.testing.assert_allclose(ahead, [0, 0, 0, 0.5], atol=1e-9)
-    np.testing.assert_allclose(back, [0, 0, 0, -0.5], atol=1e-9)
-
-
 def test_cells_are_run_and_told():
     chosen = [
         parameters.Cell("whole", patches.WHOLE[0], 0.0, 300),

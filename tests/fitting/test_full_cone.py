@@ -8,6 +8,7 @@ from scipy import special
 import jprimfit
 from jprimfit.evaluation import patches
 from jprimfit.fitting import full_cone, single
+from jprimfit.fitting.info import sq_distance
 from jprimfit.geometry.linalg import frame_of
 from jprimfit.types import Cone
 
@@ -76,7 +77,6 @@ def test_its_covariance_is_that_of_the_errors():
         points = CONE.draw(rng, 1500)
         found, info = jprimfit.fit_primitive("cone", points + 0.5 * rng.normal(size=points.shape))
         if info.method == "likelihood":
-            _, back = patches.steps_between(CONE.truth, found, info.anchor)
-            squares.append(back @ np.linalg.solve(info.covariance, back))
+            squares.append(sq_distance(found, info, CONE.truth))
     assert len(squares) > 15
     assert np.mean(squares) == pytest.approx(6, abs=4 * np.sqrt(12 / len(squares)))

@@ -9,7 +9,9 @@ import pytest
 from jax.test_util import check_grads
 from scipy import stats
 
-from jprimfit.evaluation.patches import CONE, CYLINDER, PLANE, SPHERE, Patch, steps_between
+from jprimfit.evaluation.patches import CONE, CYLINDER, PLANE, SPHERE, Patch
+from jprimfit.fitting import kinds
+from jprimfit.fitting.info import reported, step_between
 from jprimfit.primitives import estimation
 from jprimfit.primitives.estimation import estimate
 from jprimfit.primitives.table import KINDS, MODULES
@@ -44,7 +46,7 @@ def test_clean_points_give_the_surface_back(x64, kind):
     truth, points, weights = drawn(kind, sigma=0.0)
     found = solve(nearby(kind, truth), points, weights)
     assert found.ok
-    step, _ = steps_between(PATCHES[kind].truth, jax.tree.map(np.asarray, found.primitive), np.asarray(points).mean(0))
+    step = step_between(PATCHES[kind].truth, jax.tree.map(np.asarray, found.primitive), np.asarray(points).mean(0))
     assert np.abs(step).max() < 1e-9
     assert found.sigma < 1e-6
 
@@ -58,8 +60,10 @@ def test_errors_are_distributed_as_the_covariance_says(x64, kind):
         answer = solve(nearby(kind, truth, 0.01), points, weights)
         assert answer.ok
         anchor = np.average(np.asarray(points), axis=0, weights=np.asarray(weights))
-        _, back = steps_between(PATCHES[kind].truth, jax.tree.map(np.asarray, answer.primitive), anchor)
-        found.append(back @ np.linalg.solve(np.asarray(answer.covariance), back))
+        primitive = jax.tree.map(np.asarray, answer.primitive)
+        covariance = reported(kinds.move(primitive, -anchor, 1.0), np.asarray(answer.covariance))
+        back = step_between(primitive, PATCHES[kind].truth, anchor)
+        found.append(back @ np.linalg.solve(covariance, back))
         assert float(answer.sigma) == pytest.approx(0.04 * PATCHES[kind].unit, rel=0.15)
     degrees = MODULES[kind].NUM_FREEDOM
     assert np.mean(found) == pytest.approx(degrees, abs=4 * np.sqrt(2 * degrees / len(found)))
