@@ -1,7 +1,8 @@
 """One segment, one primitive, as well as the points allow: `jprimfit.fit_primitive`.
 
 A start (closed form from the normals, or a search without them) is polished by least squares on a sample, then the
-corrected equations are solved on all points (`primitives/estimation.py`), and for a cone seen all round the likelihood
+corrected equations of `primitives/estimation.py` are solved on all points (written out for the host in `planes.py`,
+`spheres.py` and `axial.py`, without compiling), and for a cone seen all round the likelihood
 (`full_cone.py`). All of it in float64, on points that were shifted to their mean and divided by their size first.
 n points, p unknowns of the kind.
 """
@@ -14,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jprimfit.fitting import associations, full_cone, kinds, planes, segments, spheres, starts
+from jprimfit.fitting import associations, axial, full_cone, kinds, planes, segments, spheres, starts
 from jprimfit.fitting.info import STEP_UNITS, Info, reported, semidefinite
 from jprimfit.fitting.segments import Segment
 from jprimfit.geometry.linalg import frame_of
-from jprimfit.primitives.estimation import Estimate, estimate
+from jprimfit.primitives.estimation import Estimate
 from jprimfit.primitives.table import KINDS, MODULES
 from jprimfit.types import Cone, Cylinder, Plane, Primitive, Sphere
 
@@ -90,7 +91,7 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
     if method == "least-squares":
         primitive, ok, covariance = _on_padded(_least_squares, start, given)
         return _answer(primitive, given, ok, None, covariance, starts.NUM_STEPS, method)
-    solved = _solve(start, given)
+    solved = _solve(start, given.local, given.weights)
     if not (bool(solved.ok) and _is_plain(solved, given)):
         solved = _of_several(kind, start, given)
     cone = _as_float64(solved.primitive)
@@ -153,11 +154,9 @@ def _in_input_frame(found: tuple[Primitive, Info], given: Segment) -> tuple[Prim
     return kinds.move(primitive, given.anchor, size), info
 
 
-def _solve(start: Primitive, given: Segment) -> Estimate:
-    """The corrected equations on all points."""
-    if isinstance(start, Sphere):
-        return spheres.estimate(start, given.local, given.weights)
-    return _on_padded(_estimate, start, given)
+def _solve(start: Primitive, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> Estimate:
+    """The corrected equations of a sphere, cylinder or cone."""
+    return (spheres if isinstance(start, Sphere) else axial).estimate(start, points, weights)  # pyright: ignore[reportArgumentType]
 
 
 def _near(primitive: Primitive, given: Segment) -> Segment:
@@ -219,23 +218,26 @@ def _is_plain(solved: Estimate, given: Segment) -> bool:
 def _of_several(kind: str, start: Primitive, given: Segment) -> Estimate:
     """Of the solutions from several starts the one that leaves the least noise: the equations have more than one."""
     few, many = _some(given, SAMPLE), _some(given, MANY)
-    found = _several(start, *_padded(given, few, SAMPLE), *_padded(given, many, MANY), kind=kind)
-    sigma = np.where(np.isfinite(found.sigma) & (found.sigma > 0.0), found.sigma, np.inf)
-    first = int(np.argmin(np.where(found.ok, sigma, np.inf)))
-    solved = _solve(_nth(found.primitive, first) if found.ok[first] else start, given)
+    points, weights = given.local[many], given.weights[many]
+    searched = starts.search(*_padded(given, few, SAMPLE), kind=kind).primitive
+    guesses = [start, *_each(searched), *_each(_bent(start, *_padded(given, many, MANY)))]
+    found = [_solve(guess, points, weights) for guess in guesses]
+    found = [one for one in found if one.sigma > 0.0]
+    best = min((one for one in found if one.ok), key=lambda one: float(one.sigma), default=None)
+    solved = _solve(best.primitive if best else start, given.local, given.weights)
     # On some of the points one may not be settled that leaves less noise; on all of them it may be.
-    if solved.ok and sigma.min() > SETTLED * solved.sigma:
+    if solved.ok and all(one.sigma > SETTLED * solved.sigma for one in found):
         return solved
-    guesses = _on_padded(_bent, solved.primitive, given)
-    for number in range(len(guesses[0])):
-        other = _solve(_nth(guesses, number), given)
+    for guess in _each(_on_padded(_bent, solved.primitive, given)):
+        other = _solve(guess, given.local, given.weights)
         if other.ok and 0.0 < other.sigma and (not solved.ok or other.sigma < solved.sigma):
             return other
     return solved
 
 
-def _nth(stack: Any, number: int) -> Primitive:
-    return _as_float64(jax.tree.map(lambda field: field[number], stack))
+def _each(stack: Any) -> list[Primitive]:
+    """The primitives of a stack, in float64."""
+    return [_as_float64(jax.tree.map(lambda field, n=n: field[n], stack)) for n in range(len(stack[0]))]
 
 
 def _some(given: Segment, most: int) -> Int[np.ndarray, " m"]:
@@ -248,19 +250,6 @@ def _padded(given: Segment, rows: Int[np.ndarray, " m"], size: int) -> tuple[np.
     """The points and weights of some rows, and points without weight up to the size; SAMPLE if those are enough."""
     size = SAMPLE if len(rows) <= SAMPLE else size
     return _pad(given.local[rows], size), _pad(given.weights[rows], size)
-
-
-@partial(jax.jit, static_argnames="kind")
-def _several(
-    start: Any, few, of_few, points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str
-) -> Estimate:
-    stacks = [
-        jax.tree.map(lambda field: field[None], start),
-        starts.search(few, of_few, kind=kind).primitive,
-        starts.bent(points, weights, kind=kind),
-    ]
-    guesses = jax.tree.map(lambda *fields: jnp.concatenate(fields), *stacks)
-    return jax.vmap(estimate, (0, None, None))(guesses, points, weights)
 
 
 @partial(jax.jit, static_argnames="kind")
@@ -285,11 +274,6 @@ def _least_squares(start: Any, points: Float[Array, "n 3"], weights: Float[Array
 @jax.jit
 def _bent(like: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Any:
     return starts.bent(points, weights, kind=like.kind)
-
-
-@jax.jit
-def _estimate(start: Any, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Estimate:
-    return estimate(start, points, weights)
 
 
 @jax.jit

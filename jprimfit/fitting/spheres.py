@@ -14,21 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jprimfit.fitting import newton
 from jprimfit.fitting.segments import Segment
 from jprimfit.primitives import sphere
 from jprimfit.primitives.common import SQ_BLUR
-from jprimfit.primitives.estimation import CONVERGED, MAX_GROWTH, MAX_ITERATIONS, MAX_STEP, Estimate
+from jprimfit.primitives.estimation import CONVERGED, MAX_GROWTH, MAX_ITERATIONS, Estimate
 from jprimfit.types import Sphere
 
 SAMPLE = 4_096  # points of the first iterations
 BLOCK = 8_192  # points summed at a time: their intermediate values stay in the processor's cache
-_EPSILON = float(np.finfo(float).eps)
-
-
-class _Sums(NamedTuple):
-    value: Float[np.ndarray, "5"]  # of the equations of center, radius and variance
-    jacobian: Float[np.ndarray, "5 5"]
-    covariance: Float[np.ndarray, "5 5"]  # of the value
 
 
 class _State(NamedTuple):
@@ -95,31 +89,20 @@ def _mean_square(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarr
 def _solve(state: _State, coordinates: np.ndarray, weights: np.ndarray, count: float, first_variance: float) -> _State:
     """Newton's method with the limits and the end that estimation._iterate has."""
     while state.iteration < MAX_ITERATIONS and not state.moved < CONVERGED:
-        sums = _sums(state.unknown, coordinates, weights, count)
-        inverse, regular = _inverse(sums.jacobian)
-        change = -inverse @ sums.value
-        change = change if np.isfinite(change).all() else np.zeros(5)
-        covariance = inverse @ sums.covariance @ inverse.T
-        rounding = 100.0 * _EPSILON * np.abs(inverse).sum(axis=1)
-        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) + rounding / CONVERGED
-        length = float(np.abs(change[:4]).max())
-        moved = float((np.abs(change[:4]) / errors[:4]).max()) * min(1.0, 3.0 * length)
-        if abs(change[4]) > 0.1 * state.unknown[4] + (1e3 * _EPSILON) ** 2:
-            moved = np.inf
-        change = change * min(1.0, MAX_STEP / length if length else 1.0)
-        unknown = state.unknown + change
+        step = newton.step(_sums(state.unknown, coordinates, weights, count), state.unknown[4])
+        unknown = state.unknown + step.change
         unknown[4] = np.clip(unknown[4], 0.0, MAX_GROWTH * first_variance)
-        state = _State(unknown, covariance[:4, :4], moved, regular, state.iteration + 1)
+        state = _State(unknown, step.covariance, step.moved, step.regular, state.iteration + 1)
     return state
 
 
-def _sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, count: float) -> _Sums:
+def _sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, count: float) -> newton.Sums:
     """The equations, their derivatives by the unknowns, and the covariance of their value; a block of points a time."""
     sums = (_block_sums(unknown, coordinates[:, block], weights[block], count) for block in _blocks(len(weights)))
-    return _Sums(*(np.sum(terms, axis=0) for terms in zip(*sums, strict=True)))
+    return newton.Sums(*(np.sum(terms, axis=0) for terms in zip(*sums, strict=True)))
 
 
-def _block_sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, count: float) -> _Sums:
+def _block_sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, count: float) -> newton.Sums:
     radius, v = unknown[3], unknown[4]
     half = 0.5 / radius if radius else 0.0
     blur = SQ_BLUR * v + np.finfo(float).tiny ** 0.5
@@ -160,16 +143,4 @@ def _block_sums(unknown: np.ndarray, coordinates: np.ndarray, weights: np.ndarra
     jacobian[3, :3], jacobian[3, 3] = -2.0 * half * moment_w, -2.0 * radius * half * sum_w
     jacobian[4, :3] = sq_half * (-2.0 * moment_f + 4.0 * v * moment_w)
     jacobian[4, 3] = -2.0 * radius * sq_half * sum_f
-    return _Sums(scores.sum(axis=1), jacobian, scores @ scores.T)
-
-
-def _inverse(jacobian: Float[np.ndarray, "5 5"]) -> tuple[Float[np.ndarray, "5 5"], bool]:
-    """As estimation._inverse: by singular values at unit scale of rows and columns."""
-    finite = bool(np.isfinite(jacobian).all())
-    jacobian = jacobian if finite else np.eye(5)
-    rows = 1.0 / np.maximum(np.abs(jacobian).max(axis=1), np.finfo(float).tiny)
-    columns = 1.0 / np.maximum(np.abs(rows[:, None] * jacobian).max(axis=0), np.finfo(float).tiny)
-    left, values, right = np.linalg.svd(rows[:, None] * jacobian * columns[None, :])
-    least = 100.0 * _EPSILON * values[0]
-    inverse = right.T / np.maximum(values, least)[None, :] @ left.T
-    return columns[:, None] * inverse * rows[None, :], finite and bool(values[-1] > least)
+    return newton.Sums(scores.sum(axis=1), jacobian, scores @ scores.T)
