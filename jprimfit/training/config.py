@@ -43,6 +43,7 @@ class OptimizerConfig:
     decay_unit: Literal["samples", "steps"] = "samples"  # a sample is one cloud of a batch
     warmup: float = 0.0  # share of all steps in which the rate rises from 0, under both schedules
     clip_norm: float | None = None  # longest gradient, null = as it comes
+    skip_non_finite: int = 0  # updates in a row left out for a loss or gradient that is not finite; one more stops
     beta1: float = 0.9
     beta2: float = 0.999
     epsilon: float = 1e-8
@@ -54,6 +55,7 @@ class OptimizerConfig:
         _require(self.decay_every > 0, "decay_every", self.decay_every, "1 or more")
         _require(0 <= self.warmup < 1, "warmup", self.warmup, "a share from 0 to below 1")
         _require(self.clip_norm is None or self.clip_norm > 0, "clip_norm", self.clip_norm, "above 0 or null")
+        _require(self.skip_non_finite >= 0, "skip_non_finite", self.skip_non_finite, "0 or more")
         _require(0 <= self.ema < 1, "ema", self.ema, "from 0 to below 1")
 
 
@@ -62,6 +64,7 @@ class TrainConfig:
     """How long, on what, and what is written when."""
 
     batch_size: int = 32  # clouds, over all devices
+    accumulate: int = 1  # parts of a device's share that are worked on one after the other, to need less memory
     steps: int | None = None  # of the whole run; wins over epochs where both are given
     epochs: float | None = None
     start_from: str | None = None  # name or folder of a model of the same architecture: its weights are the first ones
@@ -76,6 +79,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         _require(self.batch_size > 0, "batch_size", self.batch_size, "1 or more")
+        _require(self.accumulate > 0, "accumulate", self.accumulate, "1 or more")
         _require(self.steps is None or self.steps > 0, "steps", self.steps, "1 or more")
         _require(self.epochs is None or self.epochs > 0, "epochs", self.epochs, "above 0")
         _require(self.steps is not None or self.epochs is not None, "steps", self.steps, "given, or epochs")

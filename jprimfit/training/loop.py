@@ -30,6 +30,7 @@ from jprimfit.training.writer import Writer, read
 
 PREFETCHED = 2  # batches that are drawn while the devices work
 AGREE_EVERY = 10  # steps after which several processes ask each other whether to stop
+COLLAPSED = 1.5  # segments found per validation cloud, below which the network puts all points into one
 CLOUDS_SEEN = "clouds_seen"  # in exported models and checkpoints: by this run and by the models that it goes back to
 
 
@@ -119,10 +120,11 @@ class _Run:
             kind=config.train.parallel,
             num_devices=config.train.devices,
         )
-        if config.train.batch_size % self.devices.num_devices:
+        if config.train.batch_size % (self.devices.num_devices * config.train.accumulate):
+            in_parts = f" in {config.train.accumulate} parts each (train.accumulate)" * (config.train.accumulate > 1)
             raise ValueError(
                 f"train.batch_size is {config.train.batch_size}, which {self.devices.num_devices} devices cannot share "
-                "equally: give a multiple."
+                f"equally{in_parts}: give a multiple."
             )
         self.state = self.devices.replicate(start.state)
         self.validate = validator(Segmenter(config.model), pooled=config.model.types == "pooled")
@@ -133,7 +135,8 @@ class _Run:
             batch_size=config.train.batch_size,
             shown=parallel.is_writer(),
         )
-        self.window: list[dict[str, float]] = []  # of the steps since the last line in the log
+        self.window: list[dict[str, float]] = []  # of the updates since the last line in the log
+        self.skipped, self.skipped_in_a_row, self.skipped_in_all = 0, 0, 0  # since that line; up to now; in this call
 
     def greet(self, *, resumed: bool) -> None:
         """Says what is about to happen."""
@@ -195,23 +198,33 @@ class _Run:
         if metrics is None:
             return
         values = {name: float(value) for name, value in self.devices.first(metrics).items()}
-        if not values.pop("finite"):
-            saved = self.checkpoints.steps()
-            raise NotFinite(
-                f"the loss of step {step} is not finite (loss {values['total']:g}, gradient "
-                f"{values['gradient_norm']:g}): lower optimizer.learning_rate or set optimizer.clip_norm; "
-                f"{f'step {saved[-1]} is the last that was saved' if saved else 'nothing was saved yet'}."
-            )
-        self.window.append(values)
-        self.progress.step(values["total"])
+        if values.pop("finite"):
+            self.skipped_in_a_row = 0
+            self.window.append(values)
+            self.progress.step(values["total"])
+            return
+        self.skipped, self.skipped_in_all = self.skipped + 1, self.skipped_in_all + 1
+        self.skipped_in_a_row += 1
+        what = f"step {step} is not finite (loss {values['total']:g}, gradient {values['gradient_norm']:g})"
+        if self.skipped_in_a_row <= self.config.optimizer.skip_non_finite:
+            self.progress.say(f"{what}: left out, {self.skipped_in_all} so far")
+            self.progress.step(None)
+            return
+        saved = self.checkpoints.steps()
+        before = f", nor were the {self.skipped_in_a_row - 1} before it" * (self.skipped_in_a_row > 1)
+        raise NotFinite(
+            f"the loss of {what}{before}: lower optimizer.learning_rate or set optimizer.clip_norm; "
+            f"{f'step {saved[-1]} is the last that was saved' if saved else 'nothing was saved yet'}."
+        )
 
     def _log(self) -> None:
         """One line in metrics.jsonl: the means since the last one."""
         speed = self.progress.report(self.step)
         if self.window:
             means = {name: float(np.mean([values[name] for values in self.window])) for name in self.window[0]}
-            self.writer.write(self.step, kind="train", scalars={**means, "clouds_per_second": speed})
-        self.window = []
+            scalars = {**means, "skipped": float(self.skipped), "clouds_per_second": speed}
+            self.writer.write(self.step, kind="train", scalars=scalars)
+        self.window, self.skipped = [], 0
 
     def _validated(self) -> dict[str, float]:
         """Scores of the present weights; the best so far are exported."""
@@ -227,6 +240,11 @@ class _Run:
                 f"step {self.step}: validation mIoU {100 * scores['miou']:.1f} %, types "
                 f"{100 * scores['type_accuracy']:.1f} %, normals {scores['normal_deg']:.1f} deg"
             )
+            if scores["num_segments"] < COLLAPSED:
+                self.progress.say(
+                    f"warning: {scores['num_segments']:.1f} segments are found per cloud, nearly all points are in "
+                    "one: lower optimizer.learning_rate if this does not pass"
+                )
             if self.best is None or scores["miou"] > self.best:
                 self._export(present, workdir.BEST, scores)
         scores = {name: float(value) for name, value in parallel.from_writer(scores).items()}

@@ -21,11 +21,12 @@ class Progress:
         if shown and self._stream.isatty():
             self._bar = tqdm(total=last, initial=first, file=self._stream, unit="step", mininterval=0.5, smoothing=0.05)
 
-    def step(self, loss: float) -> None:
-        """To be called after every step with its loss."""
-        self._loss = loss if self._loss is None else SMOOTHING * self._loss + (1 - SMOOTHING) * loss
+    def step(self, loss: float | None) -> None:
+        """To be called after every step with its loss, None where that is not finite."""
+        if loss is not None:
+            self._loss = loss if self._loss is None else SMOOTHING * self._loss + (1 - SMOOTHING) * loss
         if self._bar is not None:
-            self._bar.set_postfix_str(f"loss {self._loss:.4f}", refresh=False)
+            self._bar.set_postfix_str("" if self._loss is None else f"loss {self._loss:.4f}", refresh=False)
             self._bar.update(1)
 
     def report(self, done: int) -> float:

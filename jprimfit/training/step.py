@@ -70,7 +70,8 @@ def train_step(segmenter: nn.Module, *, config: Config, num_steps: int) -> Calla
     """The function (state, batch) -> (state, metrics) of one device, for training/parallel.
 
     The metrics are means over the whole batch: the terms of the loss, "total", the length of the gradient, the
-    learning rate, and whether all of these are finite.
+    learning rate, and whether all of these are finite. Where they are not and the settings let such a step be skipped,
+    only the number of the step changes.
     """
 
     def step(state: TrainState, batch: Batch) -> tuple[TrainState, dict]:
@@ -82,8 +83,11 @@ def train_step(segmenter: nn.Module, *, config: Config, num_steps: int) -> Calla
         finite = jnp.isfinite(terms["total"]) & jnp.isfinite(length)
         metrics = {**terms, "gradient_norm": length, "learning_rate": learning_rate, "finite": finite}
         with jax.named_scope("update"):
-            state = states.update(state, slopes, batch_stats, learning_rate, config=config.optimizer)
-        return state, metrics
+            updated = states.update(state, slopes, batch_stats, learning_rate, config=config.optimizer)
+            if config.optimizer.skip_non_finite:
+                kept = jax.tree.map(lambda new, old: jnp.where(finite, new, old), updated, state)
+                updated = kept._replace(step=updated.step)
+        return updated, metrics
 
     return step
 
@@ -91,20 +95,32 @@ def train_step(segmenter: nn.Module, *, config: Config, num_steps: int) -> Calla
 def gradients(segmenter: nn.Module, state: TrainState, batch: Batch, *, config: Config) -> tuple[Any, Any, dict]:
     """Gradients of the mean loss over the whole batch, its BatchNorm statistics and the mean of every term.
 
-    To be called where the axis "device" exists; the three are the same on every device.
+    To be called where the axis "device" exists; the three are the same on every device. With train.accumulate the share
+    of this device is worked on in that many parts, and BatchNorm normalises each part by its own statistics.
     """
     number = state.step.astype(jnp.uint32) * config.train.batch_size + batch.row.astype(jnp.uint32)
     keys = jax.vmap(lambda n: jax.random.fold_in(jax.random.key(config.seed + 1), n))(number)
 
-    def mean_loss(params):
-        def one(example, key):
-            return _loss(segmenter, {"params": params, "batch_stats": state.batch_stats}, example, key, config=config)
+    def of_part(batch_stats, part):
+        def mean_loss(params):
+            def one(example, key):
+                variables = {"params": params, "batch_stats": batch_stats}
+                return _loss(segmenter, variables, example, key, config=config)
 
-        terms, batch_stats = jax.vmap(one, axis_name=CLOUD, out_axes=(0, None))(batch.example, keys)
-        terms = jax.tree.map(jnp.mean, terms)
-        return terms["total"], (batch_stats, terms)
+            terms, changed = jax.vmap(one, axis_name=CLOUD, out_axes=(0, None))(*part)
+            terms = jax.tree.map(jnp.mean, terms)
+            return terms["total"], (changed, terms)
 
-    slopes, (batch_stats, terms) = jax.grad(mean_loss, has_aux=True)(state.params)
+        slopes, (changed, terms) = jax.grad(mean_loss, has_aux=True)(state.params)
+        return changed, (slopes, terms)
+
+    share, parts = (batch.example, keys), config.train.accumulate
+    if parts == 1:
+        batch_stats, (slopes, terms) = of_part(state.batch_stats, share)
+    else:
+        share = jax.tree.map(lambda x: x.reshape(parts, len(x) // parts, *x.shape[1:]), share)
+        batch_stats, each = lax.scan(of_part, state.batch_stats, share)
+        slopes, terms = jax.tree.map(lambda x: jnp.mean(x, axis=0), each)
     return lax.pmean(slopes, AXIS), batch_stats, lax.pmean(terms, AXIS)
 
 

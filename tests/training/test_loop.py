@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from jprimfit.networks import weights
+from jprimfit.training import loop
 from jprimfit.training.checkpoint import Checkpoints
 from jprimfit.training.config import from_mapping
 from jprimfit.training.loop import NotFinite, train
+from jprimfit.training.validation import SCORES
 from jprimfit.training.writer import read
 
 pytestmark = pytest.mark.usefixtures("toy_loader")
@@ -101,6 +103,32 @@ def test_a_loss_that_is_not_finite_stops_with_its_step(toy_mapping, toy_loader, 
         train(config(toy_mapping), tmp_path / "run")
     with Checkpoints(tmp_path / "run" / "checkpoints", read_only=True) as checkpoints:
         assert checkpoints.steps() == (5,)
+
+
+def test_steps_that_are_not_finite_may_be_left_out(toy_mapping, toy_loader, tmp_path, capsys):
+    def spoil(step, batch):
+        return batch if step not in spoilt else batch._replace(points=np.full_like(batch.points, np.nan))
+
+    toy_loader.change, spoilt = spoil, {6, 8}
+    toy_mapping["optimizer"] = {**toy_mapping.get("optimizer", {}), "skip_non_finite": 1}
+    outcome = train(config(toy_mapping), tmp_path / "run")
+    assert outcome.reason == "all steps are made"
+    assert "step 9 is not finite (loss nan, gradient nan): left out, 2 so far" in capsys.readouterr().err
+    lines = [line for line in read(tmp_path / "run") if line["kind"] == "train"]
+    assert sum(line["skipped"] for line in lines) == 2 and all(np.isfinite(line["total"]) for line in lines)
+    assert np.isfinite(outcome.best)
+    spoilt = {6, 7}
+    with pytest.raises(NotFinite, match=r"the loss of step 8 is not finite .*, nor were the 1 before it"):
+        train(config(toy_mapping), tmp_path / "again")
+
+
+def test_points_all_in_one_segment_are_noticed(toy_mapping, toy_loader, tmp_path, capsys, monkeypatch):
+    def collapsed(segmenter, *, pooled):
+        return lambda variables, batches: {**dict.fromkeys(SCORES, 0.1), "num_segments": 1.2}
+
+    monkeypatch.setattr(loop, "validator", collapsed)
+    train(config(toy_mapping, steps=2), tmp_path / "run")
+    assert "warning: 1.2 segments are found per cloud" in capsys.readouterr().err
 
 
 def test_other_settings_are_refused_and_fresh_begins_anew(undisturbed, toy_mapping, tmp_path):

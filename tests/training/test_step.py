@@ -124,6 +124,34 @@ def test_losses_that_are_not_finite_are_told(setting, toy_batch):
     assert jnp.isnan(devices.first(metrics)["total"])
 
 
+def test_a_step_that_is_not_finite_is_skipped_where_that_is_allowed(toy_mapping, toy_batch):
+    toy_mapping["optimizer"] = {"skip_non_finite": 3, "ema": 0.9}
+    setting = Setting(toy_mapping, toy_batch)
+    devices = parallel.parallelise(
+        step.train_step(setting.segmenter, config=setting.config, num_steps=1), kind="pmap", num_devices=1
+    )
+    points = toy_batch.points.copy()
+    points[0, 0] = np.nan
+    for given, is_kept in ((points, True), (toy_batch.points, False)):
+        batch = step.Batch(toy_batch._replace(points=given), np.arange(8, dtype=np.int32))
+        after = devices.first(devices.step(devices.replicate(setting.start), devices.shard(batch))[0])
+        assert after.step == 1
+        changed = largest_difference(after._replace(step=setting.start.step), setting.start)
+        assert changed == 0 if is_kept else changed > 1e-4
+
+
+def test_a_batch_in_parts_has_the_gradient_of_the_whole(toy_mapping, toy_batch):
+    # Parts of the same clouds, so that BatchNorm finds the same statistics in each.
+    batch = jax.tree.map(lambda x: np.concatenate([x[:4], x[:4]]), toy_batch)
+    toy_mapping["model"]["dropout"] = 0.0
+    whole = Setting(toy_mapping, batch).gradients(batch, np.arange(8))
+    toy_mapping["train"]["accumulate"] = 2
+    parts = Setting(toy_mapping, batch).gradients(batch, np.arange(8))
+    largest = max(np.max(np.abs(slopes)) for slopes in jax.tree.leaves(whole[0]))
+    assert largest_difference(whole[0], parts[0]) < 1e-5 * largest
+    assert largest_difference(whole[2], parts[2]) < 1e-5
+
+
 def test_a_run_may_start_from_a_model_of_the_same_settings(setting, toy_mapping, tmp_path):
     assert step.start_model(setting.config) is None
     variables = jax.tree.map(lambda x: x + 1, state.variables(setting.start))
