@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float64, Int, Int32
 
-from jprimfit.fitting import growing, kinds, local, merging
+from jprimfit.fitting import final, growing, kinds, local, merging
 from jprimfit.fitting.refinement import Segmentation, segmentation
 from jprimfit.primitives.table import KINDS, MODULES
 from jprimfit.types import Primitive
@@ -95,8 +95,10 @@ def _united(
             joint = None
             if len(inside) > 1:
                 joint = kinds.fit(kind, points, described.normal, surface.rows, start=surface.primitive)
+            primitive = joint.primitive if joint else surface.primitive
+            primitive = final.settled(primitive, points[surface.rows], noise=tolerance / 3.0)
             for number in inside:
-                primitives[number] = joint.primitive if joint else surface.primitive
+                primitives[number] = primitive
                 surface_of[number] = count
             count += 1
     return primitives, surface_of

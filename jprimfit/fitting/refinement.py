@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from jprimfit.fitting import assignment, growing, kinds, local
+from jprimfit.fitting import assignment, final, growing, kinds, local
 from jprimfit.fitting.merging import Surface
 from jprimfit.types import Cylinder, Primitive
 
@@ -53,7 +53,11 @@ def refine(
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     faces, surface_of = assignment.faces(points, described, labels, min_points=min_points)
-    return segmentation(points, described, faces, [surfaces[surface].primitive for surface in surface_of], surface_of)
+    settled = {
+        number: final.settled(surfaces[number].primitive, points[surfaces[number].rows])
+        for number in np.unique(surface_of).tolist()
+    }
+    return segmentation(points, described, faces, [settled[number] for number in surface_of.tolist()], surface_of)
 
 
 def segmentation(
