@@ -11,11 +11,12 @@ print(reuse_memory())
 import jax, jax.numpy as jnp
 program = jax.jit(lambda x: jnp.cumsum(jnp.sin(x)[::-1])[::-1].sum())
 x = jnp.ones(1 << 23)
-for _ in range(5):
+counts = []
+for _ in range(10):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     program(x).block_until_ready()
-before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-program(x).block_until_ready()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+    counts.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+print(min(counts[5:]))  # a system short of memory may take pages back during one of them
 """
 
 
