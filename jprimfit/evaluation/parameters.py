@@ -54,7 +54,7 @@ class Outcome(NamedTuple):
 
     ok: bool
     errors: Float[np.ndarray, " f"]  # signed, of the listed parameters
-    step: Float[np.ndarray, " p"]  # from the truth to the answer, in the coordinates of Info
+    step: Float[np.ndarray, " p"]  # from the truth to the answer, in the coordinates of Info about the patch's mean
     sq_distance: float  # of the truth from the answer in its own covariance: chi-squared with p degrees if that holds
     sigma: float  # found over true
     seconds: float
@@ -208,6 +208,8 @@ def _outcomes(cell: Cell, number: int, first: int, count: int) -> list[Outcome]:
 
 def _drawn(cell: Cell, number: int, datasets: range) -> Iterator[Outcome]:
     truth = cell.patch.truth
+    # Steps are told about one place: the mean of noisy points goes along with the errors.
+    middle = cell.patch.draw(np.random.default_rng(0), NUM_POINTS).mean(axis=0)
     for dataset in datasets:
         generator = np.random.default_rng([SEED, number, dataset])
         points = cell.patch.draw(generator, cell.num_points)
@@ -219,7 +221,7 @@ def _drawn(cell: Cell, number: int, datasets: range) -> Iterator[Outcome]:
         start = time.perf_counter()
         found, info = fit_primitive(truth.kind, points, robust=num_outliers > 0)
         seconds = time.perf_counter() - start
-        step = step_between(truth, found, info.anchor)
+        step = step_between(truth, found, middle)
         away = sq_distance(found, info, truth) if cell.noise > 0.0 and info.ok else 0.0
         errors = patches.fields(found, truth) - patches.fields(truth, truth)
         noise = cell.noise * cell.patch.unit
