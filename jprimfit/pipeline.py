@@ -2,7 +2,8 @@
 
 The network proposes, geometry decides: the hearts of the network's segments are the patches from which surfaces are
 grown first, and what they leave is grown from seeds of its own. Without a network all of it is. Between the first and
-the last line everything is in the normalised frame; the scene is in the unit and frame of the input.
+the last line everything is in the normalised frame, along axes of the scan's own; the scene is in the unit and frame of
+the input.
 """
 
 import time
@@ -107,9 +108,9 @@ def fit(
     return Scene(
         points=np.array(points, np.float64),
         labels=to_input(found.labels, -1),
-        primitives=tuple(move(primitive, frame.center, frame.scale) for primitive in found.primitives),
+        primitives=tuple(move(one, frame.center, frame.scale, frame.axes.T) for one in found.primitives),
         surface_of=found.surface_of,
-        normals=to_input(found.normals, np.nan),
+        normals=to_input(frame.vectors_to_input(found.normals), np.nan),
         distances=to_input(found.distances * frame.scale, np.nan),
         noise=found.noise * frame.scale,
         report={
@@ -168,7 +169,8 @@ def _segmented(
     kept = np.setdiff1d(np.arange(len(distinct)), ready.removed)
     cloud = ready.frame.from_input(distinct[kept])
     thinned = ready.points.astype(np.float64)
-    of_thinned = None if given is None else given[ready.index]
+    turned = None if given is None else ready.frame.vectors_from_input(given)
+    of_thinned = None if turned is None else turned[ready.index]
     known = wanted.noise(ready.frame)
 
     advised = None if network is None else _advised(network, thinned, say)
@@ -185,7 +187,7 @@ def _segmented(
 
     say("refine", 0, 1)
     labels = propagate(proposal.labels, thinned, cloud)
-    measured = None if given is None else given[kept]
+    measured = None if turned is None else turned[kept]
     if measured is None and proposal.normals is not None:
         measured = propagate(proposal.normals, thinned, cloud)
     # The noise of a smoothed cloud is not that of the scan.
@@ -204,9 +206,10 @@ def _refitted(
 ) -> _Answer:
     """The segments are known."""
     say("refit", 0, 1)
-    _, frame = normalize(distinct)
+    _, frame = normalize(distinct, turned=True)
+    turned = None if given is None else frame.vectors_from_input(given)
     found = fit_segments(
-        frame.from_input(distinct), labels, given, sought=wanted.kinds, kind_of=kind_of, noise=wanted.noise(frame)
+        frame.from_input(distinct), labels, turned, sought=wanted.kinds, kind_of=kind_of, noise=wanted.noise(frame)
     )
     return _Answer(found, np.arange(len(distinct)), frame, {})
 

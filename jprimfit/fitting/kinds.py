@@ -113,9 +113,16 @@ def distances(primitive: Primitive, points: Float[np.ndarray, "n 3"]) -> Float[n
     return size * cloud.agreement(move(primitive, -center / size, 1.0 / size))[0].astype(np.float64)
 
 
-def move(primitive: Primitive, shift: Float[np.ndarray, "3"], scale: float) -> Primitive:
-    """The primitive under x -> scale·x + shift, in float64 on the host."""
+def move(
+    primitive: Primitive,
+    shift: Float[np.ndarray, "3"],
+    scale: float,
+    rotation: Float[np.ndarray, "3 3"] | None = None,
+) -> Primitive:
+    """The primitive under x -> scale·R x + shift, in float64 on the host; R = 1 if no rotation is given."""
     fields = [np.asarray(field, np.float64) for field in primitive]
+    if rotation is not None:
+        fields = [rotation @ field if field.shape == (3,) else field for field in fields]
     if isinstance(primitive, Plane):
         normal = fields[0] / np.linalg.norm(fields[0])
         return Plane(normal, scale * fields[1] + normal @ shift)

@@ -21,22 +21,33 @@ from jprimfit.types import Neighbors
 
 TIE_DEPTH = 64  # how far behind the k-th place points of equal distance are looked for
 CHUNK = 8_192  # rows per pass of a search among ties
+FIRST = 8  # rows that decide between axes of equal inertia
+TIE_BREAK = 1e-2  # how much they count, beside the mean over all rows
 PCA_CHUNK = 2_048  # rows per pass, so that three coordinates of the neighbourhoods stay in the cache
 
 
 class Frame(NamedTuple):
-    """The normalised frame: x_frame = (x_input - center) / scale; centroid at 0, longest side of the box 2."""
+    """The normalised frame: x_frame = axes (x_input - center) / scale; centroid at 0, longest side of the box 2."""
 
     center: Float64[np.ndarray, "3"]  # centroid, in the input's unit
-    scale: float  # half of the longest side of the axis-aligned box (1 if all points coincide), in the input's unit
+    scale: float  # half of the longest side of the box along the axes (1 if all points coincide), in the input's unit
+    axes: Float64[np.ndarray, "3 3"]  # a rotation; its rows are the axes of this frame in the input's
 
     def from_input(self, points: Num[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Points of the input in the normalised frame."""
-        return (np.asarray(points, np.float64) - self.center[None, :]) / self.scale
+        return self.vectors_from_input(np.asarray(points, np.float64) - self.center[None, :]) / self.scale
 
     def to_input(self, points: Num[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Points of the normalised frame in the position and unit of the input."""
-        return np.asarray(points, np.float64) * self.scale + self.center[None, :]
+        return self.vectors_to_input(np.asarray(points, np.float64) * self.scale) + self.center[None, :]
+
+    def vectors_from_input(self, vectors: Num[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Directions of the input in the normalised frame, their lengths as they are."""
+        return np.asarray(vectors, np.float64) @ self.axes.T
+
+    def vectors_to_input(self, vectors: Num[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Directions of the normalised frame in the input."""
+        return np.asarray(vectors, np.float64) @ self.axes
 
 
 class SurfaceNormals(NamedTuple):
@@ -46,13 +57,17 @@ class SurfaceNormals(NamedTuple):
     curvature: Float64[np.ndarray, "n"]  # smallest eigenvalue / sum of the eigenvalues, in [0, 1/3]; 0 on a plane
 
 
-def normalize(points: Num[np.ndarray, "n 3"]) -> tuple[Float32[np.ndarray, "n 3"], Frame]:
-    """Shifts and scales n >= 1 points into the normalised frame, in float64, and only then rounds to float32."""
+def normalize(points: Num[np.ndarray, "n 3"], *, turned: bool = False) -> tuple[Float32[np.ndarray, "n 3"], Frame]:
+    """Shifts and scales n >= 1 points into the normalised frame, in float64, and only then rounds to float32.
+
+    turned: along axes of the cloud's own, those of its inertia, so that it comes out alike however it was turned.
+    """
     points = np.asarray(points, np.float64)
     # The mean of the offsets from one point keeps the digits that a plain mean at an offset of 1e6 would lose.
     center = points[0] + (points - points[:1]).mean(axis=0)
-    half_side = float(np.ptp(points, axis=0).max()) / 2.0
-    frame = Frame(center, half_side if half_side > 0.0 else 1.0)
+    axes = _own_axes(points - center) if turned else np.eye(3)
+    half_side = float(np.ptp((points - center) @ axes.T, axis=0).max()) / 2.0
+    frame = Frame(center, half_side if half_side > 0.0 else 1.0, axes)
     return frame.from_input(points).astype(np.float32), frame
 
 
@@ -153,6 +168,23 @@ def _sample_levels(
 
 
 _assemble = stored(assemble, static_argnames="spec")
+
+
+def _own_axes(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3 3"]:
+    """A rotation whose rows are nearly the principal axes of points about their mean.
+
+    What symmetry leaves open, the order of equal axes and all signs, the first rows decide: any choice will do that
+    turns with the points.
+    """
+    size = float(np.abs(points).max())
+    if size == 0.0:
+        return np.eye(3)
+    points = points / size
+    first = points[:FIRST] * (0.5 ** np.arange(min(FIRST, len(points))))[:, None]
+    inertia = points.T @ points / len(points) + TIE_BREAK * first.T @ first
+    vectors = np.linalg.eigh(inertia)[1].T
+    axes = vectors * np.where(vectors @ first.sum(axis=0) < 0.0, -1.0, 1.0)[:, None]
+    return axes * np.linalg.det(axes).round()
 
 
 def _on_cpu() -> contextlib.AbstractContextManager[Any]:

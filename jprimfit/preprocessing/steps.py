@@ -2,8 +2,9 @@
 
 Every step keeps the map to the input: row j of the result is row index[j] of the scan. What was removed is listed and
 reported, nothing is dropped silently. The scan is float64 in any unit and position; the result is float32 in the
-normalised frame of what the filter left (centroid at 0, longest side of the box 2), rounded to multiples of STEP: what
-the unit and the position of a scan leave in the last digits of its coordinates must not decide where surfaces end.
+normalised frame of what the filter left (centroid at 0, along axes of its own, longest side of the box 2), rounded to
+multiples of STEP: what the unit, the position and the turn of a scan leave in the last digits of its coordinates must
+not decide where surfaces end.
 """
 
 import time
@@ -53,7 +54,7 @@ def preprocess(
     kept = np.flatnonzero(outliers.keep)
     seconds = {"filter": time.perf_counter() - start}
 
-    normalised, frame = host.normalize(points[kept])
+    normalised, frame = host.normalize(points[kept], turned=True)
     if smooth:
         start = time.perf_counter()
         normalised = frame.from_input(gaussian_smooth(points[kept])).astype(np.float32)
@@ -75,7 +76,7 @@ def preprocess(
         },
         "smoothed": smooth,
         "downsampled": len(rows) < len(kept),
-        "frame": {"center": frame.center.tolist(), "scale": frame.scale},
+        "frame": {"center": frame.center.tolist(), "scale": frame.scale, "axes": frame.axes.tolist()},
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
     }
     removed = np.flatnonzero(~outliers.keep).astype(np.int32)

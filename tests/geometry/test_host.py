@@ -84,6 +84,23 @@ class TestNormalize:
         points = np.random.default_rng(1).normal(size=(60, 3))
         np.testing.assert_allclose(host.normalize(points * scale + offset)[0], host.normalize(points)[0], atol=1e-6)
 
+    @pytest.mark.parametrize("is_cube", [False, True])
+    def test_turned_clouds_come_out_alike(self, is_cube):
+        # A cube has no principal axes: its first rows decide.
+        rng = np.random.default_rng(2)
+        corners = np.stack(np.meshgrid([-1.0, 1], [-1.0, 1], [-1.0, 1]), axis=-1).reshape(-1, 3)
+        points = corners if is_cube else rng.normal(size=(60, 3)) * [3.0, 1.0, 0.2]
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        turn *= np.sign(np.linalg.det(turn))
+        scaled, frame = host.normalize(points, turned=True)
+        again, other = host.normalize(7.0 * points @ turn.T + 1e4, turned=True)
+        np.testing.assert_allclose(again, scaled, atol=1e-6)
+        np.testing.assert_allclose(frame.axes @ frame.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(frame.axes) == pytest.approx(1.0)
+        np.testing.assert_allclose(np.ptp(scaled, axis=0).max(), 2.0, rtol=1e-6)
+        np.testing.assert_allclose(other.to_input(again), 7.0 * points @ turn.T + 1e4, atol=1e-4)
+        np.testing.assert_allclose(other.vectors_to_input(frame.vectors_from_input(points)), points @ turn.T, atol=1e-9)
+
     def test_coincident_points(self):
         scaled, frame = host.normalize(np.full((5, 3), 4.25))
         assert frame.scale == 1.0 and (scaled == 0.0).all()

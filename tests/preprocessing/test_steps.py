@@ -35,7 +35,7 @@ def test_frame_is_that_of_what_the_filter_left():
     kept = np.delete(points, done.removed, axis=0)
     np.testing.assert_array_equal(np.sort(np.append(done.index, done.removed)), np.arange(len(points)))
     np.testing.assert_allclose(done.frame.center, kept.mean(axis=0), rtol=1e-12)
-    np.testing.assert_allclose(2 * done.frame.scale, np.ptp(kept, axis=0).max(), rtol=1e-12)
+    np.testing.assert_allclose(2 * done.frame.scale, np.ptp(kept @ done.frame.axes.T, axis=0).max(), rtol=1e-9)
     np.testing.assert_allclose(np.ptp(done.points, axis=0).max(), 2.0, rtol=1e-6)
 
 
