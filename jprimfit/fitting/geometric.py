@@ -2,7 +2,8 @@
 
 Describe the neighbourhoods, grow regions, unite those on one surface. The noise that neighbourhoods show is that of
 single points; a stereo or depth camera also errs over wide areas, which breaks a table into terraces a few noises
-apart. Such echoes of a large surface tell that the noise was underestimated: it is doubled and the cloud grown again.
+apart. Such echoes of a large surface tell that the noise was underestimated: it is doubled and the cloud grown again,
+as long as that explains the points.
 Host code around jitted fits; lengths in the normalised frame. What becomes of the surfaces at full resolution is the
 business of fitting/refinement.
 """
@@ -19,6 +20,7 @@ from jprimfit.primitives.table import KINDS
 
 MAX_ECHOES = 0.1  # share of the points in echoes that is put down to shape
 NUM_DOUBLINGS = 4  # of the noise, at most
+WIDE = 0.5  # noise per spacing beyond which it was measured over areas wide enough
 
 
 class Proposal(NamedTuple):
@@ -49,18 +51,27 @@ def propose(
     if advice is not None and normals is None and not growing.is_quiet(described):
         normals = advice.normals
         described = described._replace(normal=normals)
-    for doubling in range(NUM_DOUBLINGS + 1):
+
+    def proposed(described: local.LocalSurface) -> Proposal:
         regions = growing.grow_regions(
             points, described, normals=normals, advice=advice, sought=sought, progress=progress
         )
         tolerance = growing.tolerance(described)
         surfaces = merging.merge_regions(points, described.normal, regions, tolerance=tolerance)
-        if growing.is_quiet(described) or noise is not None or doubling == NUM_DOUBLINGS:
+        labels = np.full(len(points), -1, dtype=np.int32)
+        for number, surface in enumerate(surfaces):
+            labels[surface.rows] = number
+        return Proposal(surfaces, labels, described.noise, normals)
+
+    found = proposed(described)
+    for _ in range(NUM_DOUBLINGS):
+        if growing.is_quiet(described) or described.noise > WIDE * described.spacing or noise is not None:
             break
-        if merging.echoes(points, surfaces, tolerance=tolerance) <= MAX_ECHOES:
+        if merging.echoes(points, found.surfaces, tolerance=growing.tolerance(described)) <= MAX_ECHOES:
             break
         described = described._replace(noise=2.0 * described.noise)
-    labels = np.full(len(points), -1, dtype=np.int32)
-    for number, surface in enumerate(surfaces):
-        labels[surface.rows] = number
-    return Proposal(surfaces, labels, described.noise, normals)
+        doubled = proposed(described)
+        if (doubled.labels >= 0).mean() < (found.labels >= 0).mean() - MAX_ECHOES:
+            break
+        found = doubled
+    return found

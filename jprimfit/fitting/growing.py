@@ -96,11 +96,12 @@ def grow_regions(
     whole = surface
     rows = np.arange(len(points))
     claimed = np.zeros(len(points), dtype=bool)
+    open_rows = np.ones(len(points), dtype=bool)
     log_types = np.zeros((len(points), len(KINDS))) if advice is None else advice.log_types
     for number in range(MAX_PASSES):
         state = _start(points[rows], surface, claimed, log_types[rows], sought)
         found = _grow_patches(state, advice.patches) if advice is not None and number == 0 else []
-        found += _grow_pass(state)
+        found += _grow_pass(state, open_rows)
         regions += [region._replace(rows=rows[region.rows]) for region in found]
         left = ~state.taken & ~state.claimed
         if progress is not None:
@@ -109,6 +110,8 @@ def grow_regions(
             break
         beside = state.claimed & (KDTree(state.points[left]).query(state.points)[0] <= 1.25 * surface.spacing)
         keep = left | beside
+        # Where nothing was taken away from around a seed it would fail again.
+        open_rows = KDTree(state.points[~keep]).query(state.points[keep])[0] <= _widest_seed(surface)
         rows, claimed = rows[keep], beside[keep]
         if len(rows) < MIN_EXCESS + 3:
             break
@@ -191,10 +194,10 @@ def _take(state: _Pass, region: Region) -> Region:
     return Region(np.union1d(region.rows, claims), region.primitive, region.evidence)
 
 
-def _grow_pass(state: _Pass) -> list[Region]:
-    """Regions from every seed, deepest first; marks what they take and claim in the state."""
+def _grow_pass(state: _Pass, open_rows: Bool[np.ndarray, " n"]) -> list[Region]:
+    """Regions from every seed among the open rows, deepest first; marks what they take and claim in the state."""
     points, core = state.points, state.surface.core
-    seeds = core & ~state.claimed & ~state.taken
+    seeds = open_rows & core & ~state.claimed & ~state.taken
     depth = np.full(len(points), np.inf)
     ends = ~core | state.taken
     if ends.any():
@@ -300,13 +303,18 @@ def _evidence(state: _Pass, kind: str, rows: np.ndarray, distance: np.ndarray) -
 def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
     """Points around the seed that lie no farther than the nearest edge, within the limits of SEED_POINTS."""
     points, spacing = state.points, state.surface.spacing
-    widening = float(np.clip(2.0 * state.surface.noise / spacing, 1.0, 5.0)) ** 2
-    radius = np.clip(0.9 * depth, 2.0 * spacing, spacing * np.sqrt(SEED_POINTS[1] * widening / np.pi))
+    radius = np.clip(0.9 * depth, 2.0 * spacing, _widest_seed(state.surface))
     near = np.flatnonzero(~state.taken & (np.square(points - points[seed]).sum(axis=1) <= radius * radius))
     if len(near) >= SEED_POINTS[0]:
         return near
     near = state.surface.index[seed]
     return np.unique(near[~state.taken[near]])
+
+
+def _widest_seed(surface: LocalSurface) -> float:
+    """Radius of the largest seed patches, which noise widens."""
+    widening = float(np.clip(2.0 * surface.noise / surface.spacing, 1.0, 5.0))
+    return surface.spacing * widening * np.sqrt(SEED_POINTS[1] / np.pi)
 
 
 def _grow_kind(state: _Pass, patch: np.ndarray, kind: str) -> Region | None:

@@ -2,8 +2,8 @@
 
 The state is any pytree. It is never differentiated as such: retract_fn(state, step) moves it by a step of num_freedom
 numbers with retract_fn(state, 0) = state, and the Jacobian J is the derivative of the residuals r with respect to the
-step, at 0. So a unit vector needs two numbers, no constraint, and H = J^T W J has no null direction. The number of
-steps is fixed: a call compiles once and costs the same under vmap for every item (Marquardt 1963; More 1978).
+step, at 0. So a unit vector needs two numbers, no constraint, and H = J^T W J has no null direction. Steps end where
+the next one would gain nothing that shows; under vmap with the last item (Marquardt 1963; More 1978).
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST
@@ -43,6 +43,8 @@ class _Carry(NamedTuple):
     state: State
     system: _System
     damping: Float[Array, ""]
+    settled: Bool[Array, ""]
+    iteration: Int[Array, ""]
 
 
 def minimise(
@@ -55,7 +57,7 @@ def minimise(
     num_steps: int = 20,
     scale: Float[Array, ""] | float = 1.0,
 ) -> Solution:
-    """Lower sum w r(state)^2 / 2 by num_steps damped Gauss-Newton steps.
+    """Lower sum w r(state)^2 / 2 by at most num_steps damped Gauss-Newton steps.
 
     A trial step solves (S H S + damping) y = -S g with S = diag(H)^(-1/2), so that the units of the unknowns do not
     matter. It is taken, and the damping divided by 10, if it lowers the cost; else the damping grows tenfold and the
@@ -63,25 +65,34 @@ def minimise(
 
     residual_fn: state -> (n,), signed. weights: (n,), >= 0. scale: the size of the quantities that the residuals are
     differences of; residuals of a few units in its last place are rounding and do not count against ok.
-    Derivatives through the steps exist but are not those of the minimiser.
+    Not for reverse-mode differentiation; derivatives through the steps would not be those of the minimiser.
     """
+    eps = jnp.finfo(weights.dtype).eps
+    rounding = jnp.sum(weights) * (10 * eps * scale) ** 2
 
     def system_at(at: State) -> _System:
         return _linearise(residual_fn, at, weights, retract_fn=retract_fn, num_freedom=num_freedom)
 
-    def step(_, carry: _Carry) -> _Carry:
+    def step(carry: _Carry) -> _Carry:
         trial_step = -_damped_solve(carry.system, carry.damping)
         trial_step = jnp.where(jnp.all(jnp.isfinite(trial_step)), trial_step, 0)
         trial = retract_fn(carry.state, trial_step)
         trial_system = system_at(trial)
         better = (trial_system.cost < carry.system.cost) & jnp.all(jnp.isfinite(trial_system.hessian))
         state, system = _select(better, (trial, trial_system), (carry.state, carry.system))
+        foreseen = -jnp.dot(carry.system.gradient, trial_step, precision=HIGHEST) / 2
+        gain = jnp.where(better, carry.system.cost - trial_system.cost, foreseen)
+        is_last = (carry.damping <= _FIRST_DAMPING) & (gain <= 10 * eps * system.cost + eps * rounding)
         damping = jnp.clip(carry.damping * jnp.where(better, 0.1, 10), _MIN_DAMPING, _MAX_DAMPING)
-        return _Carry(state, system, damping.astype(carry.damping.dtype))
+        return _Carry(state, system, damping.astype(carry.damping.dtype), is_last, carry.iteration + 1)
+
+    def unfinished(carry: _Carry) -> Bool[Array, ""]:
+        return ~carry.settled & (carry.iteration < num_steps)
 
     start = system_at(state)
-    carry = _Carry(state, start, jnp.full((), _FIRST_DAMPING, start.cost.dtype))
-    carry = jax.lax.fori_loop(0, num_steps, step, carry)
+    first = jnp.full((), _FIRST_DAMPING, start.cost.dtype)
+    carry = _Carry(state, start, first, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    carry = jax.lax.while_loop(unfinished, step, carry)
     ok = _is_solved(carry.system, weights, scale)
     return Solution(carry.state, carry.system.cost, ok, carry.system.hessian)
 

@@ -64,3 +64,15 @@ def test_order_and_pose_of_the_points_do_not_matter(proposed, parts, name):
 def test_what_is_no_surface_gives_no_proposal():
     surfaces, labels = propose(np.random.default_rng(0).normal(size=(8, 3)))[:2]
     assert surfaces == [] and (labels == -1).all()
+
+
+def test_thin_walls_under_much_noise_are_no_echoes():
+    # A sheet of two faces, the lower one half covered: they lie 1.5 tolerances apart, as terraces of a table do.
+    rng = np.random.default_rng(0)
+    noise, count = 0.02, 6_000
+    upper = np.column_stack([rng.uniform(-1, 1, (count, 2)), np.full(count, 0.09)])
+    lower = np.column_stack([rng.uniform(-1, 0, count // 4), rng.uniform(-1, 1, count // 4), np.zeros(count // 4)])
+    points = np.concatenate([upper, lower])
+    points = points + noise * rng.normal(size=points.shape)
+    found = propose(points)
+    assert found.noise == pytest.approx(noise, rel=0.15)
