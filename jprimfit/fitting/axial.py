@@ -82,6 +82,19 @@ def _estimate(start: Cylinder | Cone, points: np.ndarray, weights: np.ndarray) -
     return Estimate(found, np.bool_(ok), sigma, covariance, np.int32(state.iteration))  # pyright: ignore[reportArgumentType]
 
 
+def with_doubt(found: Estimate, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> Estimate:
+    """The estimate with a covariance that makes up for being known from these points only (newton.py)."""
+    weights = weights / weights.sum()
+    count, variance = 1.0 / float(weights @ weights), float(found.sigma) ** 2
+    state = _State(found.primitive, variance, np.zeros((0, 0)), 0.0, True, 0)  # pyright: ignore[reportArgumentType]
+    shape = _shape(state.primitive)
+
+    def sums_of(some: slice) -> newton.Sums:
+        return _sums(shape, state, np.ascontiguousarray(points[some].T), weights[some], count)
+
+    return newton.with_doubt(found, sums_of, len(points))
+
+
 def _solve(state: _State, coordinates: np.ndarray, weights: np.ndarray, count: float, first_variance: float) -> _State:
     """Newton's method with the limits and the end that estimation._iterate has."""
     while state.iteration < MAX_ITERATIONS and not state.moved < CONVERGED:

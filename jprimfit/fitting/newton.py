@@ -1,14 +1,24 @@
 """One Newton step on the corrected equations of primitives/estimation, for the host: its limits, its end, its sandwich.
 
 Shared by what writes those equations out, spheres.py and axial.py. p unknowns of the surface and the variance make q.
+
+The sandwich A^-1 B A^-T holds for many points. Of few, and where a few of many count most, as those next to the apex of
+a cone, A and B are themselves known badly, and regions around the answer come out too small. How badly, leaving out a
+part of the points at a time tells (the jackknife; Tukey 1958): let L L^T be the covariance, L (1 + D) L^T the one
+without a part. The inverse of a covariance that varies like this is too large in the mean, by the sum of all D D to
+second order, and L (sum of D D) L^T is what is added.
 """
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jprimfit.primitives.estimation import CONVERGED, MAX_STEP
+from jprimfit.primitives.estimation import CONVERGED, MAX_STEP, Estimate
+
+PARTS = 50  # that are left out in turn
+MANY = 20_000  # points from which on what that adds does not show
 
 _EPSILON = float(np.finfo(float).eps)
 
@@ -44,6 +54,44 @@ def step(sums: Sums, variance: float) -> Step:
         moved = np.inf
     change = change * min(1.0, MAX_STEP / length if length else 1.0)
     return Step(change, covariance[:-1, :-1], moved, regular)
+
+
+def with_doubt(found: Estimate, sums_of: Callable[[slice], Sums], num_points: int) -> Estimate:
+    """The estimate with what its covariance lacks for being known from these points only.
+
+    sums_of: the sums at the solution over some of the points.
+    """
+    if not found.ok or num_points >= MANY:
+        return found
+    with np.errstate(all="ignore"):
+        added = _doubt([sums_of(slice(first, None, PARTS)) for first in range(min(PARTS, num_points))])
+    return found._replace(covariance=found.covariance + added) if np.isfinite(added).all() else found
+
+
+def _doubt(sums: Sequence[Sums]) -> Float[np.ndarray, "p p"]:
+    """The sum of L D D L^T."""
+    jacobian = np.sum([part.jacobian for part in sums], axis=0)
+    scores = np.sum([part.covariance for part in sums], axis=0)
+    whole = _sandwich(jacobian, scores)
+    spread = np.sqrt(np.maximum(np.diagonal(whole), np.finfo(float).tiny))
+    correlation = whole / spread[:, None] / spread
+    if not np.isfinite(correlation).all():
+        return whole
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 100.0 * _EPSILON))
+    back = np.linalg.inv(root)
+    left = 1.0 - 1.0 / len(sums)
+    added = np.zeros_like(whole)
+    for part in sums:
+        without = left * _sandwich(jacobian - part.jacobian, scores - part.covariance)
+        change = back @ ((without - whole) / spread[:, None] / spread) @ back.T
+        added += left * change @ change
+    return spread[:, None] * (root @ added @ root.T) * spread
+
+
+def _sandwich(jacobian: Float[np.ndarray, "q q"], scores: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "p p"]:
+    inverted, _ = _inverse(jacobian)
+    return (inverted @ scores @ inverted.T)[:-1, :-1]
 
 
 def _inverse(jacobian: Float[np.ndarray, "q q"]) -> tuple[Float[np.ndarray, "q q"], bool]:

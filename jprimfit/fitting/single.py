@@ -100,6 +100,7 @@ def _found(kind: str, given: Segment, method: str, robust: bool) -> tuple[Primit
         if likely:
             steps, covariance = solved.num_iterations, _in_own_frame(likely)
             return _answer(likely.cone, given, True, likely.sigma, covariance, steps, "likelihood")
+    solved = _module(start).with_doubt(solved, given.local, given.weights)
     return _answer(
         solved.primitive, given, solved.ok, solved.sigma, solved.covariance, solved.num_iterations, "unbiased"
     )
@@ -156,7 +157,12 @@ def _in_input_frame(found: tuple[Primitive, Info], given: Segment) -> tuple[Prim
 
 def _solve(start: Primitive, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> Estimate:
     """The corrected equations of a sphere, cylinder or cone."""
-    return (spheres if isinstance(start, Sphere) else axial).estimate(start, points, weights)  # pyright: ignore[reportArgumentType]
+    return _module(start).estimate(start, points, weights)
+
+
+def _module(primitive: Primitive) -> Any:
+    """Where the equations of its kind are written out."""
+    return spheres if isinstance(primitive, Sphere) else axial
 
 
 def _near(primitive: Primitive, given: Segment) -> Segment:

@@ -66,6 +66,18 @@ def _estimate(start: Sphere, points: np.ndarray, weights: np.ndarray) -> Estimat
     return Estimate(found, np.bool_(ok), sigma, covariance, np.int32(state.iteration))  # pyright: ignore[reportArgumentType]
 
 
+def with_doubt(found: Estimate, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> Estimate:
+    """The estimate with a covariance that makes up for being known from these points only (newton.py)."""
+    weights = weights / weights.sum()
+    count = 1.0 / float(weights @ weights)
+    unknown = np.array([*found.primitive[0], found.primitive[1], float(found.sigma) ** 2], float)
+
+    def sums_of(some: slice) -> newton.Sums:
+        return _sums(unknown, np.ascontiguousarray(points[some].T), weights[some], count)
+
+    return newton.with_doubt(found, sums_of, len(points))
+
+
 def rms(primitive: Sphere, given: Segment) -> float:
     """Root of the weighted mean squared distance."""
     unknown = np.append(np.asarray(primitive.center, float), float(primitive.radius))
