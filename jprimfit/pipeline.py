@@ -192,7 +192,15 @@ def _segmented(
         measured = propagate(proposal.normals, thinned, cloud)
     # The noise of a smoothed cloud is not that of the scan.
     noise = known if smooth else proposal.noise
-    found = refinement.refine(cloud, proposal.surfaces, labels, measured, noise=noise, min_points=wanted.min_points)
+    found = refinement.refine(
+        cloud,
+        proposal.surfaces,
+        labels,
+        measured,
+        noise=noise,
+        min_points=wanted.min_points,
+        sought=wanted.kinds,
+    )
     return _Answer(found, kept, ready.frame, ready.report)
 
 

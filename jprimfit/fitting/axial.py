@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jprimfit.fitting import newton
+from jprimfit.geometry import host
 from jprimfit.primitives import cone, cylinder
 from jprimfit.primitives.common import SQ_BLUR
 from jprimfit.primitives.estimation import CONVERGED, MAX_GROWTH, MAX_ITERATIONS, SAMPLES, Estimate
@@ -303,8 +304,9 @@ def _canonical(primitive: Cylinder | Cone) -> Cylinder | Cone:
     """`canonical` of primitives/cylinder.py and cone.py, with the origin as the anchor."""
     axis = primitive.axis
     if isinstance(primitive, Cylinder):
-        side = -1.0 if axis[np.argmax(np.abs(axis))] < 0.0 else 1.0
-        return Cylinder(side * axis, primitive.center - (primitive.center @ axis) * axis, primitive.radius)
+        return Cylinder(
+            host.orientation(axis) * axis, primitive.center - (primitive.center @ axis) * axis, primitive.radius
+        )
     angle = primitive.half_angle
     if 0.0 <= angle <= math.pi / 2.0:
         return primitive

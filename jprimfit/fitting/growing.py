@@ -238,7 +238,12 @@ def _grow_seed(state: _Pass, seed: int, depth: float) -> Region | None:
         # Without noise a surface of too few degrees of freedom does not outgrow its seed; with noise see below.
         if not quiet or len(region.rows) > 2.5 * len(patch):
             break
-    return None if best is None else _outgrown(state, best)
+    if best is None:
+        return None
+    region = _outgrown(state, best)
+    if not quiet and _is_faceted(state, region):
+        return _grow_kind(state, patch, "plane")
+    return region
 
 
 def _outgrown(state: _Pass, region: Region) -> Region:

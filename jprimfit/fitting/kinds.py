@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jprimfit.geometry import host
 from jprimfit.primitives.table import MODULES, of
 from jprimfit.programs import stored
 from jprimfit.solvers import least_squares
@@ -119,10 +120,18 @@ def move(
     scale: float,
     rotation: Float[np.ndarray, "3 3"] | None = None,
 ) -> Primitive:
-    """The primitive under x -> scale·R x + shift, in float64 on the host; R = 1 if no rotation is given."""
+    """The primitive under x -> scale·R x + shift, in float64 on the host; R = 1 if no rotation is given.
+
+    Normals and axes whose sign says nothing are turned back to the side that linalg.orient takes.
+    """
     fields = [np.asarray(field, np.float64) for field in primitive]
     if rotation is not None:
         fields = [rotation @ field if field.shape == (3,) else field for field in fields]
+        sign = host.orientation(fields[0])
+        if isinstance(primitive, Plane):
+            fields = [sign * field for field in fields]
+        elif isinstance(primitive, Cylinder):
+            fields[0] = sign * fields[0]
     if isinstance(primitive, Plane):
         normal = fields[0] / np.linalg.norm(fields[0])
         return Plane(normal, scale * fields[1] + normal @ shift)

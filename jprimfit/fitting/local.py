@@ -19,6 +19,7 @@ QUADRIC_NEIGHBORS = 13  # 6 unknowns, 7 left over to tell noise from shape
 # Quantiles of the residuals that the noise is read from: the points of smooth surface, and the quietest of them.
 QUIET, QUIETEST = 0.3, 0.1
 NOISE_SAMPLE = 2_048  # points at which the noise is measured again over wider neighbourhoods
+FIRST_WIDENING = 1.35  # times the noise, at most: a plane under noise of three times the spacing reads 1.24
 CHUNK = 16_384
 
 
@@ -79,14 +80,18 @@ def _noise(points: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, " n"], 
     """Standard deviation of the scan from the residuals of the quadrics.
 
     Where it is large beside the spacing, a small neighbourhood is as thick as it is wide and its quadric bends into
-    the noise: the neighbourhood is widened until its radius is three times the noise.
+    the noise: the neighbourhood is widened until its radius is three times the noise. Each widening adds less than the
+    one before, unless it brings in the other side of a thin wall.
     """
-    noise, k = _quiet(residual, QUADRIC_NEIGHBORS), QUADRIC_NEIGHBORS
+    noise, k, added = _quiet(residual, QUADRIC_NEIGHBORS), QUADRIC_NEIGHBORS, FIRST_WIDENING
     rows = np.linspace(0, len(points) - 1, min(NOISE_SAMPLE, len(points))).astype(int)
     while spacing * np.sqrt(k / np.pi) < 3.0 * noise and 2 * k <= min(len(points), 500):
         k = 2 * k
         index = np.asarray(host.knn(points[rows], points, k=k).index)
-        noise = max(noise, _quiet(_quadric_chunk(points, index)[1], k))
+        wider = _quiet(_quadric_chunk(points, index)[1], k)
+        if wider / noise > added:
+            break
+        noise, added = max(noise, wider), wider / noise
     return noise
 
 

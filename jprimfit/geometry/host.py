@@ -170,6 +170,11 @@ def _sample_levels(
 _assemble = stored(assemble, static_argnames="spec")
 
 
+def orientation(vector: Float64[np.ndarray, "3"]) -> float:
+    """The sign, 1 or -1, of the component of largest magnitude, as linalg.orientation."""
+    return -1.0 if vector[np.argmax(np.abs(vector))] < 0.0 else 1.0
+
+
 def _own_axes(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3 3"]:
     """A rotation whose rows are nearly the principal axes of points about their mean.
 

@@ -148,4 +148,4 @@ def _axis(
     turned = float(np.arccos(min(np.abs(axis @ found[best]), 1.0)))
     if (len(good) and turned < SNAP) or turned > STRAY:
         return found[best]
-    return axis * (1.0 if axis[np.argmax(np.abs(axis))] > 0 else -1.0)
+    return axis * host.orientation(axis)

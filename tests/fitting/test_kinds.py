@@ -118,5 +118,21 @@ def test_move_carries_the_surface_and_can_be_undone(patch, parts, kind):
     assert parts.gap(kinds.move(moved, -shift / scale, 1 / scale), primitive) < 1e-9
 
 
+@each_kind
+def test_move_turns_the_surface_and_its_sign_is_canonical(patch, parts, kind):
+    points, _, primitive = patch(kind)
+    rng = np.random.default_rng(0)
+    aside = points + SCALE * rng.normal(size=points.shape)
+    for _ in range(4):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        turn = turn * np.linalg.det(turn)
+        moved = kinds.move(primitive, SHIFT, 2.0, turn)
+        np.testing.assert_allclose(
+            parts.distance(moved, 2.0 * aside @ turn.T + SHIFT), 2.0 * parts.distance(primitive, aside), atol=1e-9
+        )
+        if kind in ("plane", "cylinder"):
+            assert moved[0][np.argmax(np.abs(moved[0]))] > 0
+
+
 def test_move_makes_directions_unit_again():
     assert np.linalg.norm(kinds.move(Plane(np.array([0.0, 0, 1.0001]), np.float64(1)), np.zeros(3), 1.0).normal) == 1

@@ -105,3 +105,14 @@ def test_repeated_rows_are_not_taken_for_the_spacing(parts):
     twice = describe(np.repeat(points, 2, axis=0))
     assert twice.spacing == pytest.approx(describe(points).spacing)
     assert np.isfinite(twice.normal).all() and twice.noise < 0.01 * twice.spacing
+
+
+@pytest.mark.parametrize("thickness", [4, 6, 8])
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0])
+def test_the_other_side_of_a_thin_wall_is_not_noise(ratio, thickness):
+    rng, half = np.random.default_rng(1), NUM_POINTS // 2
+    plate = np.c_[rng.uniform(-1, 1, (NUM_POINTS, 2)), np.zeros(NUM_POINTS)]
+    sigma = ratio * describe(plate[:half]).spacing
+    plate[half:, 2] = thickness * sigma
+    plate[:, 2] += sigma * rng.normal(size=NUM_POINTS)
+    assert describe(plate).noise == pytest.approx(sigma, rel=0.3)

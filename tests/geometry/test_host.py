@@ -1,9 +1,10 @@
 """The host's float64 geometry: kd-tree neighbours, the normalised frame, PCA normals."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jprimfit.geometry import host
+from jprimfit.geometry import host, linalg
 
 
 def loop_knn(queries, points, mask, k):
@@ -139,3 +140,8 @@ class TestPcaNormals:
         points = np.random.default_rng(2).normal(size=(40, 3))
         known = host.pca_normals(points, k=3, neighbors=host.knn(points, points, k=8))
         np.testing.assert_array_equal(known.normal, host.pca_normals(points, k=8).normal)
+
+
+def test_orientation_is_that_of_the_jitted_twin():
+    for vector in np.random.default_rng(3).normal(size=(20, 3)):
+        assert host.orientation(vector) == float(linalg.orientation(jnp.asarray(vector, jnp.float32)))
