@@ -192,15 +192,7 @@ def _segmented(
         measured = propagate(proposal.normals, thinned, cloud)
     # The noise of a smoothed cloud is not that of the scan.
     noise = known if smooth else proposal.noise
-    found = refinement.refine(
-        cloud,
-        proposal.surfaces,
-        labels,
-        measured,
-        noise=noise,
-        min_points=wanted.min_points,
-        sought=wanted.kinds,
-    )
+    found = refinement.refine(cloud, proposal.surfaces, labels, measured, noise=noise, min_points=wanted.min_points)
     return _Answer(found, kept, ready.frame, ready.report)
 
 

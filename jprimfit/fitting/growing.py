@@ -28,6 +28,7 @@ from jprimfit.types import Cone, Primitive
 NUM_LINKS = 8  # nearest neighbours that connect a point
 MAX_NORMAL_ANGLE = np.radians(25.0)  # between a core point's normal and the primitive's
 SEED_POINTS = (8, 64)  # least and most points of a seed patch on a clean cloud
+GIVEN_UP = 0.5  # of the radius of a seed patch that no kind explains
 MIN_EXCESS = 5  # points beyond the degrees of freedom that a region must have
 MAX_SEED_RMS = 2.0  # tolerances; a first fit worse than this is not grown
 GROWTH_ROUNDS = 16
@@ -210,6 +211,8 @@ def _grow_pass(state: _Pass, open_rows: Bool[np.ndarray, " n"]) -> list[Region]:
         if region is None:
             # The seed and its closest surroundings are given up, not only the seed: they would fail alike.
             seeds[state.surface.index[seed, :NUM_LINKS]] = False
+            within = GIVEN_UP * _seed_radius(state, float(depth[seed]))
+            seeds[np.square(points - points[seed]).sum(axis=1) <= within * within] = False
             continue
         regions.append(_take(state, region))
         rows = regions[-1].rows
@@ -307,13 +310,16 @@ def _evidence(state: _Pass, kind: str, rows: np.ndarray, distance: np.ndarray) -
 
 def _seed_patch(state: _Pass, seed: int, depth: float) -> np.ndarray:
     """Points around the seed that lie no farther than the nearest edge, within the limits of SEED_POINTS."""
-    points, spacing = state.points, state.surface.spacing
-    radius = np.clip(0.9 * depth, 2.0 * spacing, _widest_seed(state.surface))
+    points, radius = state.points, _seed_radius(state, depth)
     near = np.flatnonzero(~state.taken & (np.square(points - points[seed]).sum(axis=1) <= radius * radius))
     if len(near) >= SEED_POINTS[0]:
         return near
     near = state.surface.index[seed]
     return np.unique(near[~state.taken[near]])
+
+
+def _seed_radius(state: _Pass, depth: float) -> float:
+    return float(np.clip(0.9 * depth, 2.0 * state.surface.spacing, _widest_seed(state.surface)))
 
 
 def _widest_seed(surface: LocalSurface) -> float:

@@ -5,15 +5,13 @@ then split the surfaces into connected faces. Assignment and parameters come fro
 or smoothed for the proposal. Host code around jitted fits; lengths in the normalised frame. n points, f faces.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from jprimfit.fitting import assignment, choice, final, growing, kinds, local
+from jprimfit.fitting import assignment, final, growing, kinds, local
 from jprimfit.fitting.merging import Surface
-from jprimfit.primitives.table import KINDS
 from jprimfit.types import Cylinder, Primitive
 
 ROUNDS = 2  # of assignment and refit
@@ -39,24 +37,21 @@ def refine(
     *,
     noise: float | None = None,
     min_points: int = assignment.MIN_FACE,
-    sought: Sequence[str] = KINDS,
 ) -> Segmentation:
     """Faces and primitives of a cloud from surfaces and a first guess of each point's surface (-1 = none).
 
     normals: unit, where they were measured. noise: that the surfaces were found under; else it is estimated.
-    min_points: of a face. sought: the kinds that a surface may be.
+    min_points: of a face.
     """
     described = local.describe(points, normals=normals, noise=noise)
     tolerance = growing.tolerance(described)
     # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
     surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
-    for number in range(ROUNDS):
+    for _ in range(ROUNDS):
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         labels = assignment.without_specks(points, described, labels, tolerance=tolerance, min_points=min_points)
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
-        if number == 0 and not growing.is_quiet(described):
-            surfaces = choice.chosen(points, described, surfaces, labels, noise=tolerance / 3.0, sought=sought)
-        surfaces = [_refit(points, described, labels, index, surface) for index, surface in enumerate(surfaces)]
+        surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     faces, surface_of = assignment.faces(points, described, labels, min_points=min_points)
     settled = {
         number: final.settled(surfaces[number].primitive, points[surfaces[number].rows])
