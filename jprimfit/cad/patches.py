@@ -224,7 +224,7 @@ def _component_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 
 def _triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return 0.5 * np.sqrt(np.sum(np.cross(b - a, c - a) ** 2, axis=1))
+    return 0.5 * np.hypot.reduce(np.cross(b - a, c - a), axis=1)  # squares of areas may overflow
 
 
 def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

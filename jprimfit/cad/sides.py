@@ -46,6 +46,7 @@ class _Rims(NamedTuple):
 
 def outward(patches: Sequence[Patch]) -> Int[np.ndarray, "p"]:
     """+1 where a patch's normals lead out of the material, -1 where they lead into it, 0 where that is not known."""
+    patches = _at_unit_scale(patches)
     rims = _rims(patches)
     relation, shared = _relations(rims, len(patches))
     signs, group = _followed(relation, shared)
@@ -55,6 +56,18 @@ def outward(patches: Sequence[Patch]) -> Int[np.ndarray, "p"]:
     signs = signs * _group_signs(patches, rims, signs, group)
     signs[doubtful] = 0
     return signs
+
+
+def _at_unit_scale(patches: Sequence[Patch]) -> list[Patch]:
+    """The patches shifted and divided by their size: signs hang on neither, but volumes of large parts leave float64."""
+    corners = [
+        bound for patch in patches if len(patch.vertices) for bound in (patch.vertices.min(0), patch.vertices.max(0))
+    ]
+    if not corners:
+        return list(patches)
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    size = float(np.max(high - low)) or 1.0
+    return [patch._replace(vertices=(patch.vertices - low) / size) for patch in patches]
 
 
 def _rims(patches: Sequence[Patch]) -> _Rims:
