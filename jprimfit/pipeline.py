@@ -24,7 +24,7 @@ from jprimfit.geometry.host import Frame, normalize
 from jprimfit.networks import inference, weights
 from jprimfit.networks.weights import Model
 from jprimfit.preprocessing.outliers import Mode
-from jprimfit.preprocessing.steps import preprocess, propagate
+from jprimfit.preprocessing.steps import nearest_rows, preprocess
 from jprimfit.primitives.table import KINDS
 from jprimfit.scene import Scene
 
@@ -186,10 +186,11 @@ def _segmented(
     )
 
     say("refine", 0, 1)
-    labels = propagate(proposal.labels, thinned, cloud)
+    nearest = nearest_rows(thinned, cloud)
+    labels = proposal.labels[nearest]
     measured = None if turned is None else turned[kept]
     if measured is None and proposal.normals is not None:
-        measured = propagate(proposal.normals, thinned, cloud)
+        measured = proposal.normals[nearest]
     # The noise of a smoothed cloud is not that of the scan.
     noise = known if smooth else proposal.noise
     found = refinement.refine(cloud, proposal.surfaces, labels, measured, noise=noise, min_points=wanted.min_points)

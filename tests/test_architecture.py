@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = [
-    {"types", "programs"},
+    {"types", "programs", "cores"},
     {"geometry", "checks", "settings"},
     {"solvers", "networks"},
     {"primitives"},

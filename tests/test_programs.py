@@ -123,12 +123,12 @@ def test_programs_of_another_code_are_removed_when_they_have_become_old(folder):
 def test_a_new_process_loads_what_another_kept(tmp_path):
     code = (
         "import sys; from pathlib import Path; import numpy as np\n"
-        "from jprimfit import programs; from jprimfit.fitting import kinds\n"
+        "import jprimfit; from jprimfit import programs\n"
         "known = programs.keep_in(Path(sys.argv[1]))\n"
         "rng = np.random.default_rng(0); normals = rng.normal(size=(200, 3))\n"
         "normals /= np.linalg.norm(normals, axis=1, keepdims=True)\n"
-        "found = kinds.fit('sphere', 2.0 * normals + 1.0, normals, np.arange(200))\n"
-        "print(known, found.primitive.radius.round(4), len(list(Path(sys.argv[1]).rglob('_fit-*'))))"
+        "found, _ = jprimfit.fit_primitive('sphere', 2.0 * normals + 1.0)\n"
+        "print(known, found.radius.round(4), len(list(Path(sys.argv[1]).rglob('search-*'))))"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)

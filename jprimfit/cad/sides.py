@@ -59,7 +59,7 @@ def outward(patches: Sequence[Patch]) -> Int[np.ndarray, "p"]:
 
 
 def _at_unit_scale(patches: Sequence[Patch]) -> list[Patch]:
-    """The patches shifted and divided by their size: signs hang on neither, but volumes of large parts leave float64."""
+    """The patches shifted and divided by their size: no sign hangs on it, and volumes of huge parts leave float64."""
     corners = [
         bound for patch in patches if len(patch.vertices) for bound in (patch.vertices.min(0), patch.vertices.max(0))
     ]

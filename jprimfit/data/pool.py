@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from jprimfit.cores import num_cores
 from jprimfit.data.clouds import SCANNING, LoaderConfig, draw_example, usable_parts
 from jprimfit.data.digest import content_hash
 from jprimfit.data.examples import Example
@@ -153,7 +154,7 @@ def _build(
 
 def _run(jobs: list[tuple], workers: int) -> Iterator[int]:
     """The number of clouds of each chunk as it is completed."""
-    workers = min(_num_cores() if workers < 0 else workers, len(jobs))
+    workers = min(num_cores() if workers < 0 else workers, len(jobs))
     if workers == 0:
         yield from map(_fill, jobs)
         return
@@ -245,8 +246,3 @@ def _open(folder: Path, name: str, layout: list, *, mode: Any) -> np.ndarray:
 
 def _mark(folder: Path, start: int) -> Path:
     return folder / f"chunk-{start}.done"
-
-
-def _num_cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jprimfit.cores import num_cores
 from jprimfit.data.clouds import LoaderConfig, draw_queried, usable_parts
 from jprimfit.data.examples import Scan
 from jprimfit.data.loader import example_numbers, numbered_cloud
@@ -55,7 +56,7 @@ class Stream:
         self._ahead: Iterator[int] = iter(())  # the numbers to be drawn
         self._dataset: Dataset | None = None
         self._ring: _Ring | None = None
-        count = _num_cores() if config.workers < 0 else config.workers
+        count = num_cores() if config.workers < 0 else config.workers
         if count:
             self._ring = _Ring(config, seed, self._layout, num_slots=max(num_slots, count), num_workers=count)
 
@@ -279,8 +280,3 @@ def _environment(names: tuple[str, ...], value: str) -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = old
-
-
-def _num_cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1

@@ -9,7 +9,7 @@ Lengths in the normalised frame. n points, s surfaces, k neighbours.
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from jprimfit.fitting import kinds
@@ -23,6 +23,7 @@ MAX_TURN = 2.0  # of these at most: beside an edge a normal may be worth nothing
 SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
 SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
 MAX_LINK = 3.0  # length of a link, in distances to the farthest of the voters
+CHUNK = 65_536  # points whose votes are compared at a time
 MIN_FACE = 6  # points that a face has at least; a smaller part cut off from its surface is none
 SPECK = 8.5  # tolerances: radius of a disk below which noise alone can look like a face
 SPECK_SHARE = 0.005  # of all points; what is larger is no speck under any noise (as SPFN's smallest segment)
@@ -43,17 +44,26 @@ def assign(
     size = np.maximum(np.bincount(labels[labels >= 0], minlength=len(surfaces)), 1)
     cost += SMALL_SURFACE * np.log(size)[:, None]
     voters = surface.index[:, :NUM_VOTERS]
-    every = np.arange(len(points))
+    labels = labels.astype(np.int32)
     for _ in range(SWEEPS):
-        votes = labels[voters]
-        share = (votes[:, :, None] == votes[:, None, :]).mean(axis=2)
-        total = np.where(votes >= 0, cost[votes, every[:, None]] - SAME_NEIGHBORS * share, np.inf)
-        best = total.argmin(axis=1)
-        updated = np.where(np.isfinite(total[every, best]), votes[every, best], -1)
+        updated = _unanimous(cost, labels)
+        rows = np.flatnonzero((labels[voters] != labels[:, None]).any(axis=1))
+        for start in range(0, len(rows), CHUNK):
+            some = rows[start : start + CHUNK]
+            votes = labels[voters[some]]
+            share = (votes[:, :, None] == votes[:, None, :]).mean(axis=2)
+            total = np.where(votes >= 0, cost[votes, some[:, None]] - SAME_NEIGHBORS * share, np.inf)
+            best, every = total.argmin(axis=1), np.arange(len(some))
+            updated[some] = np.where(np.isfinite(total[every, best]), votes[every, best], -1)
         if np.array_equal(updated, labels):
             break
         labels = updated
-    return labels.astype(np.int32)
+    return labels
+
+
+def _unanimous(cost: Float[np.ndarray, "s n"], labels: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Labels where all voters say the same as the point: kept unless the point is too far away for it."""
+    return np.where(np.isfinite(cost[labels, np.arange(len(labels))]), labels, -1)
 
 
 def faces(
@@ -68,9 +78,11 @@ def faces(
     Faces are numbered by falling number of points. Parts of fewer than min_points points become -1.
     """
     index = surface.index[:, 1:NUM_VOTERS]
-    start, end = np.repeat(np.arange(len(index)), index.shape[1]), index.ravel()
-    same = (labels[start] == labels[end]) & (labels[start] >= 0) & _near(points, index, start, end)
-    matrix = coo_matrix((np.ones(int(same.sum()), np.int8), (start[same], end[same])), shape=(len(labels),) * 2)
+    start, column = np.nonzero((labels[index] == labels[:, None]) & (labels >= 0)[:, None])
+    end = index[start, column]
+    near = _near(points, index, start, end)
+    bounds = np.concatenate([[0], np.cumsum(np.bincount(start[near], minlength=len(labels)))])
+    matrix = csr_matrix((np.ones(bounds[-1]), end[near], bounds), shape=(len(labels),) * 2)
     _, component = connected_components(matrix, directed=False)
     component[labels < 0] = -1
     numbers, sizes = np.unique(component[component >= 0], return_counts=True)

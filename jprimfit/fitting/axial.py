@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jprimfit.fitting import newton
+from jprimfit.fitting import newton, shapes
 from jprimfit.geometry import host
 from jprimfit.primitives import cone, cylinder
 from jprimfit.primitives.common import SQ_BLUR
@@ -63,8 +63,8 @@ def _estimate(start: Cylinder | Cone, points: np.ndarray, weights: np.ndarray) -
     module = cone if isinstance(start, Cone) else cylinder
     count = 1.0 / float(weights @ weights)
     coordinates = np.ascontiguousarray(points.T)
-    first = _canonical(type(start)(*(np.asarray(field, float) for field in start)))
-    variance = float(weights @ np.square(_signed_distances(first, coordinates)))
+    first = shapes.canonical(type(start)(*(np.asarray(field, float) for field in start)))
+    variance = float(weights @ np.square(shapes.signed_distances(first, coordinates)))
     state = _State(first, variance, np.zeros((module.NUM_FREEDOM,) * 2), np.inf, False, 0)
     for size in SAMPLES:
         stride = len(weights) // size
@@ -101,9 +101,9 @@ def _solve(state: _State, coordinates: np.ndarray, weights: np.ndarray, count: f
     while state.iteration < MAX_ITERATIONS and not state.moved < CONVERGED:
         shape = _shape(state.primitive)
         step = newton.step(_sums(shape, state, coordinates, weights, count), state.variance)
-        primitive = _canonical(_retract(state.primitive, shape.frame, step.change[:-1]))
+        primitive = shapes.canonical(shapes.retract(state.primitive, step.change[:-1]))
         variance = float(np.clip(state.variance + step.change[-1], 0.0, MAX_GROWTH * first_variance))
-        covariance = _turned(step.covariance, shape.frame, _frame_of(np.asarray(primitive.axis)))
+        covariance = _turned(step.covariance, shape.frame, host.frame_of(np.asarray(primitive.axis)))
         state = _State(primitive, variance, covariance, step.moved, step.regular, state.iteration + 1)
     return state
 
@@ -113,13 +113,15 @@ def _shape(primitive: Cylinder | Cone) -> _Shape:
     if isinstance(primitive, Cylinder):
         radius = float(primitive.radius)
         center = np.asarray(primitive.center)
-        return _Shape(_frame_of(axis), center, 1.0, radius, 0.0, (0.0, 0.0, 1.0), (radius, 0.0, 0.0))
+        return _Shape(host.frame_of(axis), center, 1.0, radius, 0.0, (0.0, 0.0, 1.0), (radius, 0.0, 0.0))
     cosine, sine = math.cos(float(primitive.half_angle)), math.sin(float(primitive.half_angle))
     height = -float(np.asarray(primitive.apex) @ axis)
     push = height * sine
     slant = (-push * sine / cosine, sine, cosine)
     half_gradient = (cosine * cosine * push, cosine * sine * sine, cosine * cosine * sine)
-    return _Shape(_frame_of(axis), primitive.apex + height * axis, cosine * cosine, push, sine, slant, half_gradient)
+    return _Shape(
+        host.frame_of(axis), primitive.apex + height * axis, cosine * cosine, push, sine, slant, half_gradient
+    )
 
 
 def _sums(shape: _Shape, state: _State, coordinates: np.ndarray, weights: np.ndarray, count: float) -> newton.Sums:
@@ -286,60 +288,11 @@ def _write_noise(terms: np.ndarray, shape: _Shape, v: float, at: _Points, scale:
     terms[3], terms[4], terms[5] = steep * at.x, steep * at.y, of.by_h * f - of.value * two_level
 
 
-def _retract(primitive: Cylinder | Cone, frame: np.ndarray, step: np.ndarray) -> Cylinder | Cone:
-    """`retract` of primitives/cylinder.py and cone.py."""
-    axis = frame[2] + step[0] * frame[0] + step[1] * frame[1]
-    axis = axis / np.linalg.norm(axis)
-    shift = step[2] * frame[0] + step[3] * frame[1]
-    if isinstance(primitive, Cylinder):
-        return Cylinder(axis, primitive.center + shift, primitive.radius + step[4])
-    height = -float(primitive.apex @ primitive.axis)
-    anchor = primitive.apex + height * primitive.axis + shift
-    radius = (height * math.sin(primitive.half_angle) + step[4]) / math.cos(primitive.half_angle)
-    half_angle = primitive.half_angle + step[5]
-    return Cone(axis, anchor - radius / np.tan(half_angle) * axis, half_angle)
-
-
-def _canonical(primitive: Cylinder | Cone) -> Cylinder | Cone:
-    """`canonical` of primitives/cylinder.py and cone.py, with the origin as the anchor."""
-    axis = primitive.axis
-    if isinstance(primitive, Cylinder):
-        return Cylinder(
-            host.orientation(axis) * axis, primitive.center - (primitive.center @ axis) * axis, primitive.radius
-        )
-    angle = primitive.half_angle
-    if 0.0 <= angle <= math.pi / 2.0:
-        return primitive
-    return Cone(-axis, primitive.apex, np.float64(-angle if angle < 0.0 else math.pi - angle))
-
-
-def _frame_of(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """linalg.frame_of."""
-    helper = np.zeros(3)
-    helper[np.argmin(np.abs(axis))] = 1.0
-    first = np.cross(axis, helper)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis])
-
-
 def _turned(covariance: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
     """`table.in_frame_of`: the covariance in the coordinates of another frame."""
     turn, across = np.eye(len(covariance)), new[:2] @ old[:2].T
     turn[:2, :2], turn[2:4, 2:4] = np.sign(old[2] @ new[2]) * across, across
     return turn @ covariance @ turn.T
-
-
-def _signed_distances(primitive: Cylinder | Cone, coordinates: np.ndarray) -> np.ndarray:
-    """`signed_distance` of primitives/cylinder.py and cone.py."""
-    axis, origin = primitive[0], primitive[1]
-    offset = coordinates - origin[:, None]
-    height = axis @ offset
-    across = np.sqrt(np.square(offset - axis[:, None] * height).sum(axis=0))
-    if isinstance(primitive, Cylinder):
-        return across - primitive.radius
-    cosine, sine = math.cos(primitive.half_angle), math.sin(primitive.half_angle)
-    above = across * cosine - height * sine
-    return np.where(height * cosine + across * sine > 0.0, above, np.sqrt(across**2 + height**2))
 
 
 def _is_sound(primitive: Cylinder | Cone, coordinates: np.ndarray, weights: np.ndarray) -> bool:

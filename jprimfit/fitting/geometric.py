@@ -4,7 +4,7 @@ Describe the neighbourhoods, grow regions, unite those on one surface. The noise
 single points; a stereo or depth camera also errs over wide areas, which breaks a table into terraces a few noises
 apart. Such echoes of a large surface tell that the noise was underestimated: it is doubled and the cloud grown again,
 as long as that explains the points.
-Host code around jitted fits; lengths in the normalised frame. What becomes of the surfaces at full resolution is the
+Host code; lengths in the normalised frame. What becomes of the surfaces at full resolution is the
 business of fitting/refinement.
 """
 

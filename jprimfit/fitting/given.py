@@ -5,8 +5,8 @@ kinds that a segment determines the one with the shortest description is taken,
 
     sum_n min(d_n^2 / noise^2, 9) + f log n,
 
-with d the distances and f the degrees of freedom of the kind: Schwarz's criterion (1978) with a robust sum. Host code
-around the jitted fits of fitting/kinds; lengths in the normalised frame. n points, s segments.
+with d the distances and f the degrees of freedom of the kind: Schwarz's criterion (1978) with a robust sum. Host code;
+lengths in the normalised frame. n points, s segments.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,6 +16,7 @@ from jaxtyping import Float64, Int, Int32
 
 from jprimfit.fitting import final, growing, kinds, local, merging
 from jprimfit.fitting.refinement import Segmentation, segmentation
+from jprimfit.fitting.regions import Region
 from jprimfit.primitives.table import KINDS, MODULES
 from jprimfit.types import Primitive
 
@@ -45,14 +46,14 @@ def fit_segments(
     described = local.describe(points, normals=normals, noise=noise)
     scale = growing.tolerance(described) / 3.0
     kept = np.full(len(points), -1, np.int32)
-    regions: list[growing.Region] = []
+    regions: list[Region] = []
     for label in np.unique(labels[labels >= 0]):
         rows = np.flatnonzero(labels == label)
         of_label = sought if kind_of is None or label not in kind_of else (kind_of[int(label)],)
         primitive = _likeliest(points, described.normal, rows, of_label, scale)
         if primitive is not None:
             kept[rows] = len(regions)
-            regions.append(growing.Region(rows, primitive))
+            regions.append(Region(rows, primitive))
     primitives, surface_of = _united(points, described, regions)
     return segmentation(points, described, kept, primitives, surface_of)
 
@@ -80,7 +81,7 @@ def _likeliest(points, normals, rows: np.ndarray, of_kinds: Sequence[str], scale
 
 
 def _united(
-    points: Float64[np.ndarray, "n 3"], described: local.LocalSurface, regions: list[growing.Region]
+    points: Float64[np.ndarray, "n 3"], described: local.LocalSurface, regions: list[Region]
 ) -> tuple[list[Primitive], Int32[np.ndarray, " s"]]:
     """The primitive and the number of the surface of each region; only regions of one kind can lie on one."""
     primitives, surface_of, count = [region.primitive for region in regions], np.zeros(len(regions), np.int32), 0

@@ -7,12 +7,15 @@ neighbourhood is one smooth surface. Only core points may carry growth across th
 Host code in float64 (NumPy); lengths in the unit of the cloud. n points, k neighbours.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaincinv
 
+from jprimfit.cores import num_cores
 from jprimfit.geometry import host
 
 QUADRIC_NEIGHBORS = 13  # 6 unknowns, 7 left over to tell noise from shape
@@ -20,7 +23,7 @@ QUADRIC_NEIGHBORS = 13  # 6 unknowns, 7 left over to tell noise from shape
 QUIET, QUIETEST = 0.3, 0.1
 NOISE_SAMPLE = 2_048  # points at which the noise is measured again over wider neighbourhoods
 FIRST_WIDENING = 1.35  # times the noise, at most: a plane under noise of three times the spacing reads 1.24
-CHUNK = 16_384
+CHUNK = 4_096  # points of a pass, small enough for the cache
 
 
 class LocalSurface(NamedTuple):
@@ -44,11 +47,12 @@ def describe(
     normals: Float[np.ndarray, "n 3"] | None = None,
     noise: float | None = None,
     spacing: float | None = None,
+    narrow: bool = False,
 ) -> LocalSurface:
     """Local quadrics, noise and normals of a cloud of n >= 4 points.
 
     normals: measured ones, taken instead of estimates. noise, spacing: those of the cloud that the points are the rest
-    of, where they are known better.
+    of, where they are known better. narrow: the neighbours of a clean cloud will do, where normals were measured.
     """
     neighbors = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points)))
     spacing = _spacing(points, np.sqrt(neighbors.sq_distance)) if spacing is None else spacing
@@ -56,11 +60,11 @@ def describe(
     normal, residual = _quadrics(points, index)
     noise = _noise(points, residual, spacing) if noise is None else noise
     ratio = noise / spacing
-    if ratio > 0.05:
+    if ratio > 0.05 and not (narrow and normals is not None):
         # The angle error of a plane's normal is about 2 noise / (spacing k): keep it near 5 degrees.
         k = int(np.clip(12 + 40 * ratio, 16, 80))
         wide = host.knn(points, points, k=min(k, len(points)))
-        normal = host.pca_normals(points, k=k, neighbors=wide).normal
+        normal = host.pca_normals(points, k=k, neighbors=wide).normal if normals is None else normal
         index = np.asarray(wide.index)
     core = residual <= max(2.0 * noise, 0.03 * spacing)
     normal = normal if normals is None else normals
@@ -111,11 +115,10 @@ def _quiet(residual: Float[np.ndarray, " n"], k: int) -> float:
 
 def _quadrics(points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:
     """Unit normal of the least-squares quadric at each point, and the rms of what it leaves over."""
-    normal, residual = np.empty((len(points), 3)), np.empty(len(points))
-    for start in range(0, len(points), CHUNK):
-        rows = slice(start, start + CHUNK)
-        normal[rows], residual[rows] = _quadric_chunk(points, index[rows])
-    return normal, residual
+    chunks = [index[start : start + CHUNK] for start in range(0, len(points), CHUNK)]
+    with ThreadPoolExecutor(num_cores()) as pool:  # NumPy computes without holding the interpreter
+        normal, residual = zip(*pool.map(partial(_quadric_chunk, points), chunks), strict=True)
+    return np.concatenate(normal), np.concatenate(residual)
 
 
 def _quadric_chunk(points: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

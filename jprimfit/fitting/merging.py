@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jprimfit.fitting import kinds
-from jprimfit.fitting.growing import Region
+from jprimfit.fitting.regions import Region
 from jprimfit.types import Primitive
 
 SAMPLE = 256  # points of a region that another region's primitive is held against

@@ -7,15 +7,12 @@ left of the general path is the sandwich A^-1 B A^-T. Host code in float64; n po
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from jprimfit.geometry.linalg import frame_of
+from jprimfit.geometry import host
 from jprimfit.primitives import plane
 from jprimfit.types import Plane
-
-_frame_of = jax.jit(frame_of)
 
 
 class Flat(NamedTuple):
@@ -43,7 +40,7 @@ def fit(points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> F
     sigma = np.sqrt(variance / (1.0 - min(plane.NUM_FREEDOM / count, 0.9)))
 
     # Sums of w k df with df = (x, y, -1) the derivative of f, and of (w f)^2 k k.
-    to_plane = np.asarray(_frame_of(normal))[:2]
+    to_plane = host.frame_of(normal)[:2]
     slopes, turn = np.linalg.eigh(_bordered(to_plane, square, mean, 1.0) - np.diag([sigma**2, sigma**2, 0.0]))
     least = 100.0 * np.finfo(float).eps
     inverse = np.array([1.0, 1.0, -1.0])[:, None] * turn / np.maximum(slopes, least) @ turn.T

@@ -2,7 +2,7 @@
 
 Assign each point to its surface, give specks to what lies around them, refit each surface to its points, and again;
 then split the surfaces into connected faces. Assignment and parameters come from the raw points, whatever was thinned
-or smoothed for the proposal. Host code around jitted fits; lengths in the normalised frame. n points, f faces.
+or smoothed for the proposal. Host code; lengths in the normalised frame. n points, f faces.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ def refine(
     normals: unit, where they were measured. noise: that the surfaces were found under; else it is estimated.
     min_points: of a face.
     """
-    described = local.describe(points, normals=normals, noise=noise)
+    described = local.describe(points, normals=normals, noise=noise, narrow=True)
     tolerance = growing.tolerance(described)
     # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
     surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]

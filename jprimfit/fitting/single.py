@@ -110,7 +110,8 @@ def _flat(given: Segment, robust: bool) -> tuple[Primitive, Info]:
     for _ in range(ROUNDS if robust else 0):
         given = _near(planes.fit(given.local, given.weights).primitive, given)
     found = planes.fit(given.local, given.weights)
-    return found.primitive, Info(found.ok, found.sigma, found.rms, found.covariance, given.anchor, 0, "unbiased")
+    covariance = semidefinite(found.covariance)
+    return found.primitive, Info(found.ok, found.sigma, found.rms, covariance, given.anchor, 0, "unbiased")
 
 
 def _in_own_frame(likely: full_cone.FullCone) -> Float[np.ndarray, "6 6"]:

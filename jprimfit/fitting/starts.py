@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jprimfit.fitting import kinds
 from jprimfit.geometry import safe
 from jprimfit.geometry.linalg import HIGHEST, effective_count, frame_of, moments
 from jprimfit.primitives.table import MODULES, in_frame_of
 from jprimfit.programs import stored
+from jprimfit.solvers import least_squares
 from jprimfit.types import Cone, Cylinder, Primitive, Sphere
 
 NUM_DIRECTIONS = 64  # on the half sphere, about 20 degrees apart
@@ -96,7 +96,16 @@ def bent(points: Float[Array, "n 3"], weights: Float[Array, " n"], *, kind: str)
 def polish(start: Primitive, points: Float[Array, "n 3"], weights: Float[Array, " n"]) -> Polished:
     """Levenberg-Marquardt on the distances from a start; on curved surfaces noise biases the answer."""
     module = MODULES[start.kind]
-    primitive, solution, finite = kinds.descend(start, points, weights, num_steps=NUM_STEPS)
+    solution = least_squares.minimise(
+        lambda primitive: module.signed_distance(primitive, points),
+        start,
+        weights,
+        retract_fn=module.retract,
+        num_freedom=module.NUM_FREEDOM,
+        num_steps=NUM_STEPS,
+    )
+    primitive = module.canonical(solution.state, jnp.zeros(3, points.dtype))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(field)) for field in primitive])) & jnp.isfinite(solution.cost)
     ok = finite & module.sound(primitive, points, weights / jnp.sum(weights))
     freedom = jnp.maximum(effective_count(weights) - module.NUM_FREEDOM, 1)
     sq_sigma = 2 * solution.cost / jnp.sum(weights) * effective_count(weights) / freedom

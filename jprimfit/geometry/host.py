@@ -6,6 +6,8 @@ jprimfit.types.Neighbors says. NumPy in and out. Letters: n points, m queries, k
 """
 
 import contextlib
+import math
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float32, Float64, Num
 from scipy.spatial import KDTree
 
+from jprimfit.cores import num_cores
 from jprimfit.geometry.hierarchy import NUM_INTERPOLATED, Hierarchy, HierarchySpec, Searches, assemble, levels, nearest
 from jprimfit.geometry.sampling import optimised_farthest_points
 from jprimfit.programs import stored
@@ -122,10 +125,13 @@ def pca_normals(
     found = knn(points, points, k=k, workers=workers) if neighbors is None else neighbors
     index, mask = np.asarray(found.index), np.asarray(found.mask)
     normal, curvature = np.empty((len(points), 3)), np.empty(len(points))
-    for start in range(0, len(points), PCA_CHUNK):
+
+    def work(start: int) -> None:
         rows = slice(start, start + PCA_CHUNK)
-        covariance = _covariances(points, index[rows], mask[rows])
-        normal[rows], curvature[rows] = _least_spread(covariance)
+        normal[rows], curvature[rows] = _least_spread(_covariances(points, index[rows], mask[rows]))
+
+    with ThreadPoolExecutor(num_cores() if workers < 0 else workers) as pool:
+        list(pool.map(work, range(0, len(points), PCA_CHUNK)))
     return SurfaceNormals(normal, curvature)
 
 
@@ -173,6 +179,17 @@ _assemble = stored(assemble, static_argnames="spec")
 def orientation(vector: Float64[np.ndarray, "3"]) -> float:
     """The sign, 1 or -1, of the component of largest magnitude, as linalg.orientation."""
     return -1.0 if vector[np.argmax(np.abs(vector))] < 0.0 else 1.0
+
+
+def frame_of(axis: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Right-handed frame with rows u, v and the unit axis, the same as linalg.frame_of."""
+    x, y, z = axis.tolist()
+    # The cross product with the direction of the smallest component, written out: np.cross takes ten times as long.
+    smallest = min(abs(x), abs(y), abs(z))
+    first = (0.0, z, -y) if abs(x) == smallest else (-z, 0.0, x) if abs(y) == smallest else (y, -x, 0.0)
+    length = math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2) or 1.0
+    a, b, c = (component / length for component in first)
+    return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a], [x, y, z]])
 
 
 def _own_axes(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3 3"]:

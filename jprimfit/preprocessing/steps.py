@@ -83,8 +83,9 @@ def preprocess(
     return Preprocessed(normalised[rows], frame, kept[rows].astype(np.int32), removed, report)
 
 
-def propagate(
-    values: Num[np.ndarray, "m *rest"], from_points: Num[np.ndarray, "m 3"], to_points: Num[np.ndarray, "n 3"]
-) -> Num[np.ndarray, "n *rest"]:
-    """The value (label, normal) of the nearest of from_points for each of to_points; clouds in one frame, m >= 1."""
-    return values[host.knn(to_points, from_points, k=1).index[:, 0]]
+def nearest_rows(from_points: Num[np.ndarray, "m 3"], to_points: Num[np.ndarray, "n 3"]) -> Int32[np.ndarray, " n"]:
+    """The row of the nearest of from_points for each of to_points; clouds in one frame, m >= 1.
+
+    values[rows] carries labels or normals of a down-sampled cloud back to the whole one.
+    """
+    return np.asarray(host.knn(to_points, from_points, k=1).index)[:, 0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jprimfit.evaluation import patches
-from jprimfit.fitting import axial, kinds, segments
+from jprimfit.fitting import axial, kinds, segments, shapes
 from jprimfit.primitives import estimation
 from jprimfit.primitives.table import MODULES
 
@@ -60,7 +60,7 @@ def test_the_same_as_the_general_equations(x64, kind, edges, noise):
 @pytest.mark.parametrize(("kind", "edges", "noise"), [CASES[1], CASES[5]])
 def test_sums_and_derivatives_are_those_of_the_general_equations(x64, kind, edges, noise):
     given, start = drawn(kind, edges, noise)
-    start, weights, variance = axial._canonical(start), given.weights / given.weights.sum(), 0.01
+    start, weights, variance = shapes.canonical(start), given.weights / given.weights.sum(), 0.01
     standard = estimation.standardise(jnp.asarray(given.local), jnp.asarray(weights))
     expected = estimation._equations(jax.tree.map(jnp.asarray, start), jnp.asarray(variance), standard)
     state = axial._State(start, variance, np.zeros((0, 0)), np.inf, False, 0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jprimfit.fitting import growing
+from jprimfit.fitting import growing, regions
 from jprimfit.fitting.advice import Advice
 from jprimfit.fitting.growing import grow_regions, tolerance
 from jprimfit.fitting.local import describe
@@ -125,8 +125,8 @@ def test_a_cone_that_hardly_opens_is_a_cylinder(opening, kind):
         size=(900, 3)
     )
     state = growing._start(points, describe(points), np.zeros(900, bool), np.zeros((900, 4)))
-    cone = growing._refitted(state, "cone", np.arange(900))
-    region = growing._upright(state, growing.Region(np.arange(900), cone.primitive, 1.0))
+    cone = regions.refitted(state, "cone", np.arange(900))
+    region = growing._upright(state, regions.Region(np.arange(900), cone.primitive, 1.0))
     assert region.primitive.kind == kind
     if kind == "cylinder":
         assert region.primitive.radius == pytest.approx(0.2, abs=1e-3) and region.evidence > 100

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jprimfit.fitting.growing import Region
 from jprimfit.fitting.merging import merge_regions
+from jprimfit.fitting.regions import Region
 from jprimfit.types import Plane
 
 Z = np.array([0.0, 0, 1])

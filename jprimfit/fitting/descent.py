@@ -1,0 +1,75 @@
+"""Levenberg-Marquardt on the distances of one surface, on the host: solvers/least_squares.py in NumPy.
+
+The steps, their damping and its factors are the same. They end where the next would lower the cost by less than shows:
+a sum of squares that is right to 1e-5 is worth no iteration. Points at unit scale, all of equal weight.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jprimfit.fitting import shapes
+from jprimfit.types import Primitive
+
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e9
+GAIN = 1e-5  # of the cost: a step that gains less is the last
+ROUNDING = 1e-12  # an rms distance that is zero
+RIDGE = 10.0 * np.finfo(float).eps
+
+
+class Minimum(NamedTuple):
+    """Where the steps ended."""
+
+    primitive: Primitive  # in its gauge about the origin
+    rms: float  # of the distances
+    ok: bool  # all of it is finite
+
+
+def minimise(start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int) -> Minimum:
+    """Lowers the squared distances of n points (3, n) to a surface by at most num_steps steps."""
+    with np.errstate(all="ignore"):  # a step that leads nowhere overflows, and is not taken
+        return _minimise(start, coordinates, num_steps)
+
+
+def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int) -> Minimum:
+    count, damping = coordinates.shape[1], FIRST_DAMPING
+    linear = shapes.linearised(primitive, coordinates)
+    cost, gradient, hessian = _system(linear)
+    for _ in range(num_steps):
+        step = -_solved(gradient, hessian, damping)
+        trial = shapes.retract(primitive, step)
+        linear = shapes.linearised(trial, coordinates)
+        next_cost, next_gradient, next_hessian = _system(linear)
+        better = next_cost < cost and np.isfinite(next_hessian).all()
+        gain = cost - next_cost if better else -0.5 * float(gradient @ step)
+        is_last = (damping <= FIRST_DAMPING or not better) and gain <= GAIN * cost
+        if better:
+            primitive, cost, gradient, hessian = trial, next_cost, next_gradient, next_hessian
+        damping = min(max(damping * (0.1 if better else 10.0), MIN_DAMPING), MAX_DAMPING)
+        if is_last or cost <= 0.5 * count * ROUNDING**2:
+            break
+    found = shapes.canonical(primitive)
+    ok = np.isfinite(cost) and all(np.isfinite(field).all() for field in found)
+    return Minimum(found, float(np.sqrt(2.0 * cost / count)), bool(ok))
+
+
+def _system(linear: shapes.Linear) -> tuple[float, np.ndarray, np.ndarray]:
+    """Half the sum of squares, its gradient, and J^T J."""
+    distance, jacobian = linear
+    return 0.5 * float(distance @ distance), jacobian @ distance, jacobian @ jacobian.T
+
+
+def _solved(gradient: np.ndarray, hessian: np.ndarray, damping: float) -> np.ndarray:
+    """(H + damping diag H)^-1 g by a Cholesky factor of the scaled H; 0 where there is none."""
+    diagonal = np.sqrt(np.diagonal(hessian))
+    shrink = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+    scaled = shrink[:, None] * hessian * shrink
+    scaled[np.diag_indices(len(scaled))] += damping + RIDGE
+    if not np.isfinite(scaled).all():
+        return np.zeros_like(gradient)
+    try:
+        step = shrink * np.linalg.solve(scaled, shrink * gradient)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(gradient)
+    return step if np.isfinite(step).all() else np.zeros_like(gradient)
