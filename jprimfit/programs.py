@@ -13,8 +13,10 @@ import os
 import pickle
 import platform
 import shutil
+import threading
 import time
 import uuid
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -54,30 +56,44 @@ def keep_in(folder: Path | None) -> bool:
 def stored(function: Callable[..., Any], *, static_argnames: str | Sequence[str] = ()) -> Callable[..., Any]:
     """jax.jit(function, static_argnames=...) whose programs are kept; static arguments are given by name, arrays not.
 
-    Static values must be told apart by their repr. Called by other code under jit, it is jit.
+    Static values must be told apart by their repr. Called by other code under jit, it is jit. `prepare`, of the same
+    arguments or of ShapeDtypeStructs, has the program ready for a later call, which waits for it if a thread prepares.
     """
     jitted = jax.jit(function, static_argnames=static_argnames)
     names = {static_argnames} if isinstance(static_argnames, str) else set(static_argnames)
     programs: dict[Any, Any] = {}
+    begun: dict[Any, threading.Lock] = defaultdict(threading.Lock)
 
-    @functools.wraps(function)
-    def call(*arrays: Any, **static: Any) -> Any:
-        if _folder is None or set(static) != names:
-            return jitted(*arrays, **static)
-        device = jax.config.jax_default_device or jax.local_devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
+    def program(device: Any, *arrays: Any, **static: Any) -> Any:
         leaves, tree = jax.tree.flatten(arrays)
-        if not all(_is_there(leaf, device) for leaf in leaves):
-            return jitted(*arrays, **static)
         types = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
         key = tree, types, tuple(sorted(static.items())), x64, device
         if key not in programs:
-            words = function.__module__, function.__qualname__, str(tree), str(types), sorted(static.items()), x64
-            file = _folder / f"{function.__name__}-{_digest(*words, device.platform, device.device_kind)}"
-            programs[key] = _loaded(file) or _made(file, jitted.lower(*arrays, **static).compile())
-        return programs[key](*arrays)
+            with begun[key]:
+                if key not in programs:
+                    words = function.__module__, function.__qualname__, str(tree), str(types), key[2], x64
+                    name = f"{function.__name__}-{_digest(*words, device.platform, device.device_kind)}"
+                    file = None if _folder is None else _folder / name
+                    programs[key] = _loaded(file) or _made(file, jitted.lower(*arrays, **static).compile())
+        return programs[key]
 
+    @functools.wraps(function)
+    def call(*arrays: Any, **static: Any) -> Any:
+        device = _device()
+        if set(static) != names or not all(_is_there(leaf, device) for leaf in jax.tree.leaves(arrays)):
+            return jitted(*arrays, **static)
+        return program(device, *arrays, **static)(*arrays)
+
+    def prepare(*arrays: Any, **static: Any) -> None:
+        program(_device(), *arrays, **static)
+
+    call.prepare = prepare  # pyright: ignore[reportAttributeAccessIssue]
     return call
+
+
+def _device() -> Any:
+    return jax.config.jax_default_device or jax.local_devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _is_there(leaf: Any, device: Any) -> bool:
@@ -89,8 +105,10 @@ def _is_there(leaf: Any, device: Any) -> bool:
     return leaf.devices() == {device}
 
 
-def _loaded(file: Path) -> Any:
+def _loaded(file: Path | None) -> Any:
     """The program in a file; None where there is none, or none that this user wrote whole and JAX can load."""
+    if file is None:
+        return None
     with contextlib.suppress(Exception):  # whatever JAX and pickle raise
         if hasattr(os, "getuid") and file.stat().st_uid != os.getuid():
             return None
@@ -107,8 +125,10 @@ def _prepare_lapack() -> None:
     jax.jit(jax.numpy.linalg.eigh).lower(np.eye(2, dtype=np.float32))
 
 
-def _made(file: Path, program: Any) -> Any:
+def _made(file: Path | None, program: Any) -> Any:
     """The program, which is kept in the file where that is possible."""
+    if file is None:
+        return program
     with contextlib.suppress(Exception):  # not every backend can serialise
         data = pickle.dumps(serialize_executable.serialize(program))
         partial = file.with_name(f".{uuid.uuid4().hex}")

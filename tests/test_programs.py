@@ -4,6 +4,7 @@ import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -137,3 +138,17 @@ def test_a_new_process_loads_what_another_kept(tmp_path):
             [sys.executable, "-c", code, tmp_path], env=environment, capture_output=True, text=True, check=True
         )
         assert run.stdout.split() == [str(known), "2.0", "1"]
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_what_is_prepared_is_not_traced_again(folder, kept):
+    programs.keep_in(folder if kept else None)
+    traces, power = counted()
+    function = programs.stored(power, static_argnames="exponent")
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), pair(3))
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(2):
+            pool.submit(function.prepare, shapes, exponent=2)
+        found = function(pair(3), exponent=2)
+    assert traces == [2] and len(files(folder)) == kept
+    np.testing.assert_allclose(found.first, pair(3).first ** 2)

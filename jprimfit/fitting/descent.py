@@ -1,9 +1,10 @@
 """Levenberg-Marquardt on the distances of one surface, on the host: solvers/least_squares.py in NumPy.
 
-The steps, their damping and its factors are the same. They end where the next would lower the cost by less than shows:
-a sum of squares that is right to 1e-5 is worth no iteration. Points at unit scale, all of equal weight.
+The steps, their damping and its factors are the same. They end where one lowers the cost by less than shows. Points at
+unit scale, all of equal weight.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from jprimfit.fitting import shapes
 from jprimfit.types import Primitive
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e9
-GAIN = 1e-5  # of the cost: a step that gains less is the last
+GAIN, ROUGH = 1e-5, 1e-3  # of the cost: a step that gains less is the last, and where a guess will do
 ROUNDING = 1e-12  # an rms distance that is zero
 RIDGE = 10.0 * np.finfo(float).eps
 
@@ -26,13 +27,13 @@ class Minimum(NamedTuple):
     ok: bool  # all of it is finite
 
 
-def minimise(start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int) -> Minimum:
+def minimise(start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int, gain: float = GAIN) -> Minimum:
     """Lowers the squared distances of n points (3, n) to a surface by at most num_steps steps."""
     with np.errstate(all="ignore"):  # a step that leads nowhere overflows, and is not taken
-        return _minimise(start, coordinates, num_steps)
+        return _minimise(start, coordinates, num_steps, gain)
 
 
-def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int) -> Minimum:
+def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int, least: float) -> Minimum:
     count, damping = coordinates.shape[1], FIRST_DAMPING
     linear = shapes.linearised(primitive, coordinates)
     cost, gradient, hessian = _system(linear)
@@ -41,9 +42,9 @@ def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int) -> 
         trial = shapes.retract(primitive, step)
         linear = shapes.linearised(trial, coordinates)
         next_cost, next_gradient, next_hessian = _system(linear)
-        better = next_cost < cost and np.isfinite(next_hessian).all()
+        better = next_cost < cost and math.isfinite(next_hessian.sum())
         gain = cost - next_cost if better else -0.5 * float(gradient @ step)
-        is_last = (damping <= FIRST_DAMPING or not better) and gain <= GAIN * cost
+        is_last = (damping <= FIRST_DAMPING or not better) and gain <= least * cost
         if better:
             primitive, cost, gradient, hessian = trial, next_cost, next_gradient, next_hessian
         damping = min(max(damping * (0.1 if better else 10.0), MIN_DAMPING), MAX_DAMPING)
@@ -65,11 +66,9 @@ def _solved(gradient: np.ndarray, hessian: np.ndarray, damping: float) -> np.nda
     diagonal = np.sqrt(np.diagonal(hessian))
     shrink = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
     scaled = shrink[:, None] * hessian * shrink
-    scaled[np.diag_indices(len(scaled))] += damping + RIDGE
-    if not np.isfinite(scaled).all():
-        return np.zeros_like(gradient)
+    scaled.flat[:: len(scaled) + 1] += damping + RIDGE
     try:
         step = shrink * np.linalg.solve(scaled, shrink * gradient)
     except np.linalg.LinAlgError:
         return np.zeros_like(gradient)
-    return step if np.isfinite(step).all() else np.zeros_like(gradient)
+    return step if math.isfinite(step.sum()) else np.zeros_like(gradient)

@@ -19,6 +19,7 @@ SAMPLE = 8_192  # rows that a fit looks at, at most
 FEW = 256  # rows that are enough for a guess
 # Steps of the polish: the closed form is exact for planes, and poor for a cone seen far from its apex.
 NUM_STEPS = {"plane": 0, "sphere": 6, "cylinder": 10, "cone": 30}
+FEW_STEPS = 10  # of a guess
 
 
 class Fitted(NamedTuple):
@@ -64,11 +65,34 @@ def fit(
     """The least-squares primitive of one kind through the rows of a cloud; None where they do not determine it.
 
     sample: at most so many rows, taken at even steps, are looked at. start: polish this one (of this kind) instead of
-    the closed-form estimate, which hangs on the normals for cylinders and cones. determined=False: give any finite
-    primitive, as a guess that more points may yet confirm.
+    the closed-form estimate, which hangs on the normals for cylinders and cones. determined=False: give any that is
+    finite.
     """
-    if len(rows) > sample:
-        rows = rows[np.linspace(0, len(rows) - 1, sample).astype(int)]
+    return _fit(kind, points, normals, _some(rows, sample), start, determined)
+
+
+def guess(
+    kind: str, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], rows: Int[np.ndarray, " r"]
+) -> Fitted | None:
+    """A primitive of one kind near the rows, from few of them, that more points may confirm; None if not finite."""
+    return _fit(kind, points, normals, _some(rows, FEW), None, False, is_guess=True)
+
+
+def _some(rows: np.ndarray, count: int) -> np.ndarray:
+    """At most so many of the rows, at even steps."""
+    return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(int)]
+
+
+def _fit(
+    kind: str,
+    points: np.ndarray,
+    normals: np.ndarray,
+    rows: np.ndarray,
+    start: Primitive | None,
+    determined: bool,
+    *,
+    is_guess: bool = False,
+) -> Fitted | None:
     chosen = points[rows]
     center = chosen.mean(axis=0)
     centred = chosen - center[None, :]
@@ -83,7 +107,9 @@ def fit(
         begin = first.primitive
     else:
         begin = move(start, -center / size, 1.0 / size)
-    found = descent.minimise(begin, coordinates, num_steps=NUM_STEPS[kind])
+    num_steps = min(NUM_STEPS[kind], FEW_STEPS if is_guess else NUM_STEPS[kind])
+    gain = descent.ROUGH if is_guess else descent.GAIN
+    found = descent.minimise(begin, coordinates, num_steps=num_steps, gain=gain)
     return Fitted(move(found.primitive, center, size), found.rms * size) if found.ok else None
 
 

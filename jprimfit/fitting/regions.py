@@ -95,7 +95,7 @@ def _connected(ground: Ground, members: np.ndarray, rows: np.ndarray) -> tuple[n
 
 def refitted(ground: Ground, kind: str, rows: Int[np.ndarray, " r"]) -> kinds.Fitted | None:
     """A guess at the primitive of one kind through the rows, from some of them."""
-    return kinds.fit(kind, ground.points, ground.surface.normal, rows, sample=kinds.FEW, determined=False)
+    return kinds.guess(kind, ground.points, ground.surface.normal, rows)
 
 
 def evidence_of(ground: Ground, kind: str, rows: Int[np.ndarray, " r"], distance: Float[np.ndarray, " r"]) -> float:

@@ -7,9 +7,11 @@ Index sets do not change under rotation, so a data loader may build them once pe
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
@@ -136,6 +138,31 @@ def index_sets(hierarchy: Hierarchy) -> IndexSets:
         tuple(counts(groups) for groups in hierarchy.decoder_groups),
         tuple(rows(weights.index) for weights in hierarchy.interpolation),
         tuple(np.asarray(density, np.float32) for density in hierarchy.density),
+    )
+    return IndexSets(*stored)
+
+
+def layout(num_points: int, *, spec: HierarchySpec) -> IndexSets:
+    """Shapes and types of the index sets of a cloud of that many points, as jax.ShapeDtypeStructs."""
+    sizes = (num_points, *spec.num_points)
+    row = jnp.uint16 if max(sizes) <= 1 << 16 else jnp.int32
+
+    def arrays(dtype: Any, *sides: Sequence[int]) -> tuple[Any, ...]:
+        return tuple(jax.ShapeDtypeStruct(shape, dtype) for shape in zip(*sides, strict=True))
+
+    def counts(lengths: Sequence[int], widths: Sequence[int]) -> tuple[Any, ...]:
+        types = (jnp.uint8 if width < 256 else jnp.int32 for width in widths)
+        return tuple(jax.ShapeDtypeStruct((length,), dtype) for length, dtype in zip(lengths, types, strict=True))
+
+    fine, coarse = sizes[:-1], sizes[1:]
+    stored: tuple[Any, ...] = (
+        arrays(row, coarse),
+        arrays(row, coarse, spec.encoder_neighbors),
+        counts(coarse, spec.encoder_neighbors),
+        arrays(row, fine, spec.decoder_neighbors),
+        counts(fine, spec.decoder_neighbors),
+        arrays(row, fine, [NUM_INTERPOLATED] * spec.num_steps),
+        arrays(jnp.float32, fine),
     )
     return IndexSets(*stored)
 

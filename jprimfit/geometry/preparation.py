@@ -7,9 +7,11 @@ neighbourhood. Lengths in the unit of the points; a HierarchySpec means its own 
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float32, Num
 
+from jprimfit.geometry import hierarchy
 from jprimfit.geometry.filtering import FILTERED, bilateral_normals
 from jprimfit.geometry.hierarchy import HierarchySpec, IndexSets, index_sets, nearest
 from jprimfit.geometry.host import build_hierarchy, knn, pca_normals
@@ -65,8 +67,21 @@ def prepare(
         local_normals[:, column], curvature[:, column] = surfaces[k].normal, surfaces[k].curvature
     padded, mask = _padded(points, size), np.arange(size) < len(points)
     own = Neighbors(*(_padded(values, size) for values in found))
-    hierarchy = build_hierarchy(padded, mask, spec=spec, neighbors=own, workers=workers)
-    return Prepared(padded, mask, _padded(local_normals, size), _padded(curvature, size), index_sets(hierarchy))
+    built = build_hierarchy(padded, mask, spec=spec, neighbors=own, workers=workers)
+    return Prepared(padded, mask, _padded(local_normals, size), _padded(curvature, size), index_sets(built))
+
+
+def layout(*, spec: HierarchySpec, neighborhoods: tuple[int, ...], num_points: int) -> Prepared:
+    """Shapes and types of what `prepare` gives, as jax.ShapeDtypeStructs."""
+    sizes = (num_points, len(neighborhoods))
+    fields: tuple[Any, ...] = (
+        jax.ShapeDtypeStruct((num_points, 3), np.float32),
+        jax.ShapeDtypeStruct((num_points,), np.bool_),
+        jax.ShapeDtypeStruct((*sizes, 3), np.float32),
+        jax.ShapeDtypeStruct(sizes, np.float32),
+        hierarchy.layout(num_points, spec=spec),
+    )
+    return Prepared(*fields)
 
 
 def _padded(rows: np.ndarray, size: int) -> np.ndarray:

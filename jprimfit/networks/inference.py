@@ -4,6 +4,7 @@ The network sees at most as many points as it was made for, chosen to lie evenly
 around one jitted function. Letters: n points of the cloud, m of them that the network sees, s segments.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jprimfit.geometry import host
 from jprimfit.geometry.hierarchy import from_index_sets
-from jprimfit.geometry.preparation import Prepared, prepare
+from jprimfit.geometry.preparation import Prepared, layout, prepare
 from jprimfit.geometry.sampling import optimised_farthest_points
 from jprimfit.networks.clustering import cluster
 from jprimfit.networks.segmenter import Segmenter, SegmenterConfig
@@ -41,8 +42,13 @@ class Sample(NamedTuple):
 
 def ask(model: Model, points: Float[np.ndarray, "n 3"]) -> Answer:
     """The answer of a network for a cloud of n >= 1 points in any frame."""
-    rows, cloud = sample(model.config, points)
-    membership, types, normals = jax.device_get(_apply(model.variables, cloud, config=model.config))
+    config = model.config
+    expected = layout(spec=config.hierarchy, neighborhoods=config.neighborhoods, num_points=config.num_points)
+    with ThreadPoolExecutor(1) as beside:
+        # Compiling the network takes as long as all that comes before it; should it fail, the call below says why.
+        beside.submit(_apply.prepare, model.variables, expected, config=config)
+        rows, cloud = sample(config, points)
+    membership, types, normals = jax.device_get(_apply(model.variables, cloud, config=config))
     valid = slice(0, len(rows))
     return Answer(rows, membership[valid], types[valid], normals[valid])
 

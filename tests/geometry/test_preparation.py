@@ -7,7 +7,7 @@ import pytest
 from jprimfit.geometry import host
 from jprimfit.geometry.filtering import bilateral_normals
 from jprimfit.geometry.hierarchy import HierarchySpec, index_sets
-from jprimfit.geometry.preparation import prepare
+from jprimfit.geometry.preparation import layout, prepare
 
 SPEC = HierarchySpec((32, 8), (8, 8), (0, 4), (8, 8), (0.5, 1.0), (0.25, 0.5), (0.9, np.inf))
 CLOUD = host.normalize(np.random.default_rng(0).normal(size=(100, 3)) * [1.0, 1.0, 0.2])[0]
@@ -44,6 +44,15 @@ def test_padding_repeats_the_first_point_and_changes_nothing():
         np.testing.assert_array_equal(found[100:], np.repeat(expected[:1], 30, axis=0))
     for found, expected in zip(jax.tree.leaves(padded.sets), jax.tree.leaves(bare.sets), strict=True):
         np.testing.assert_array_equal(found[: len(expected)], expected)
+
+
+@pytest.mark.parametrize("neighborhoods", [(0, 4, 20), ()])
+def test_the_layout_is_that_of_what_is_prepared(neighborhoods):
+    prepared = prepare(CLOUD, spec=SPEC, neighborhoods=neighborhoods, num_points=130)
+    expected = layout(spec=SPEC, neighborhoods=neighborhoods, num_points=130)
+    assert jax.tree.structure(prepared) == jax.tree.structure(expected)
+    found = [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(prepared)]
+    assert found == [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(expected)]
 
 
 def test_a_point_alone():
