@@ -128,6 +128,10 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
         say(f"{scan}: compiling, which is kept for later scans")
     from jprimfit import pipeline
 
+    narrowed = options.narrowed
+    if cloud.tolerance is not None and "tolerance" not in narrowed:
+        say(f"{scan}: its facets lie up to {cloud.tolerance:.3g} off round walls, which is taken for the --tolerance")
+        narrowed = {**narrowed, "tolerance": cloud.tolerance}
     try:
         scene = pipeline.fit(
             cloud.points,
@@ -137,7 +141,7 @@ def fit_file(scan: Path, folder: Path, options: argparse.Namespace, *, say: Call
             filter=options.filter,
             smooth=options.smooth == "on",
             progress=_stages(scan, say),
-            **options.narrowed,
+            **narrowed,
         )
     except ValueError as error:
         raise ValueError(f"{scan}: {error}") from error

@@ -28,6 +28,9 @@ class Cloud(NamedTuple):
 
     points: Float[np.ndarray, "n 3"]  # float64, unit and frame of the file
     normals: Float[np.ndarray, "n 3"] | None  # as in the file: neither scaled nor checked
+    tolerance: float | None = (
+        None  # how far they may lie from the surface that is meant, where the file tells; its unit
+    )
 
 
 class Mesh(NamedTuple):
