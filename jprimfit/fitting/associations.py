@@ -12,13 +12,11 @@ Names as in ISO 1101 and ISO 14405-1. Host code in float64, at unit scale. n poi
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy import optimize
 
-from jprimfit.primitives.table import MODULES
+from jprimfit.fitting import shapes
 from jprimfit.types import Primitive
 
 METHODS = ("minimum-zone", "maximum-inscribed", "minimum-circumscribed")
@@ -31,7 +29,6 @@ NUM_EXTREME = 200  # points of either side in a program
 MAX_ITERATIONS = 100
 CONVERGED = 1e-12  # of the trust region, in radians and sizes of the segment
 MAX_RADIUS = 1e3  # in sizes of the segment
-MIN_PADDED = 256
 
 
 class Association(NamedTuple):
@@ -55,25 +52,24 @@ def associate(method: str, start: Primitive, points: Float[np.ndarray, "n 3"]) -
 
     A segment seen from one side need not have a largest inscribed or a least circumscribed surface: then ok is False.
     """
-    padding = max(MIN_PADDED, 1 << (len(points) - 1).bit_length()) - len(points)
-    padded = np.pad(points, ((0, padding), (0, 0)), mode="edge")
+    coordinates = np.ascontiguousarray(points.T)
     primitive, region = start, 0.1
-    distance, jacobian = _measure(primitive, padded)
+    distance, jacobian = shapes.linearised(primitive, coordinates)
     iteration = 0
     while iteration < MAX_ITERATIONS and region >= CONVERGED:
         iteration += 1
-        step = _program(method, np.asarray(distance), np.asarray(jacobian), region)
-        trial = _retract(primitive, np.append(step, 0.0))
-        trial_distance, trial_jacobian = _measure(trial, padded)
+        step = _program(method, distance, jacobian, region)
+        trial = shapes.canonical(shapes.retract(primitive, np.append(step, 0.0)))
+        trial_distance, trial_jacobian = shapes.linearised(trial, coordinates)
         if _value(method, trial_distance) < _value(method, distance):
             region = min(2.0 * max(region, float(np.abs(step).max())), 0.3)
             primitive, distance, jacobian = trial, trial_distance, trial_jacobian
         else:
             region /= 4.0
-    last = np.zeros(jacobian.shape[1])
+    last = np.zeros(len(jacobian))
     low, high = float(np.min(distance)), float(np.max(distance))
     last[-1] = {"minimum-zone": (low + high) / 2.0, "maximum-inscribed": low, "minimum-circumscribed": high}[method]
-    found = _retract(primitive, last)
+    found = shapes.canonical(shapes.retract(primitive, last))
     bounded = found.kind == "plane" or 0.0 < float(found.radius) < MAX_RADIUS
     return Association(found, bounded and region < CONVERGED, iteration)
 
@@ -84,7 +80,7 @@ def _value(method: str, distance: Any) -> float:
 
 
 def _program(
-    method: str, distance: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n p"], region: float
+    method: str, distance: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "p n"], region: float
 ) -> Float[np.ndarray, "..."]:
     """The step of all unknowns but the last, at most region in each, that is best for the extreme points."""
     order = np.argsort(distance)
@@ -95,7 +91,7 @@ def _program(
     if method == "maximum-inscribed":
         highest = highest[:0]
     # Unknowns: the step, low, high. d + J t >= low, d + J t <= high; least high - low.
-    slopes = np.concatenate([-jacobian[lowest, :-1], jacobian[highest, :-1]])
+    slopes = np.concatenate([-jacobian[:-1, lowest].T, jacobian[:-1, highest].T])
     ends = np.zeros((len(slopes), 2))
     ends[: len(lowest), 0], ends[len(lowest) :, 1] = 1.0, -1.0
     limits = np.concatenate([distance[lowest], -distance[highest]])
@@ -104,21 +100,3 @@ def _program(
     bounds = [(-region, region)] * num_steps + [(None, None) if used else (0.0, 0.0) for used in np.abs(cost[-2:])]
     solved = optimize.linprog(cost, A_ub=np.hstack([slopes, ends]), b_ub=limits, bounds=bounds, method="highs")
     return solved.x[:num_steps] if solved.success else np.zeros(num_steps)
-
-
-@jax.jit
-def _measure(primitive: Any, points: Float[Array, "n 3"]) -> tuple[Float[Array, " n"], Float[Array, "n p"]]:
-    module = MODULES[primitive.kind]
-
-    def distance_of(step: Float[Array, " p"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        distance = module.signed_distance(module.retract(primitive, step), points)
-        return distance, distance
-
-    jacobian, distance = jax.jacfwd(distance_of, has_aux=True)(jnp.zeros(module.NUM_FREEDOM, points.dtype))
-    return distance, jacobian
-
-
-@jax.jit
-def _retract(primitive: Any, step: Float[Array, " p"]) -> Any:
-    module = MODULES[primitive.kind]
-    return module.canonical(module.retract(primitive, step), jnp.zeros(3, step.dtype))

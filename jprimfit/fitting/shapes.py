@@ -7,7 +7,7 @@ motion along the normal there, which is one number along the whole normal. Host 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -116,8 +116,8 @@ def linearised(primitive: Primitive, coordinates: Float[np.ndarray, "3 n"]) -> L
     return Linear(distance, jacobian)
 
 
-def retract(primitive: Primitive, step: Float[np.ndarray, " p"]) -> Primitive:
-    """`retract` of the kind's module: the surface moved by a minimal step."""
+def retract(primitive: Primitive, step: Float[np.ndarray, " p"]) -> Any:
+    """`retract` of the kind's module: the surface, of the same kind, moved by a minimal step."""
     if isinstance(primitive, Sphere):
         return Sphere(primitive.center + step[:3], primitive.radius + step[3])
     frame = host.frame_of(primitive[0])
@@ -135,8 +135,8 @@ def retract(primitive: Primitive, step: Float[np.ndarray, " p"]) -> Primitive:
     return Cone(axis, anchor - radius / np.tan(half_angle) * axis, half_angle)
 
 
-def canonical(primitive: Primitive) -> Primitive:
-    """`canonical` of the kind's module, with the origin as the anchor."""
+def canonical(primitive: Primitive) -> Any:
+    """`canonical` of the kind's module, with the origin as the anchor; of the same kind."""
     if isinstance(primitive, Sphere):
         return primitive
     axis = primitive[0]
