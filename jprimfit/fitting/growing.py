@@ -17,7 +17,17 @@ from scipy.spatial import KDTree
 from jprimfit.fitting import kinds
 from jprimfit.fitting.advice import Advice
 from jprimfit.fitting.local import LocalSurface, describe
-from jprimfit.fitting.regions import MIN_EXCESS, Ground, Region, evidence_of, grow, refitted, window
+from jprimfit.fitting.regions import (
+    FULL_EVIDENCE,
+    HANDICAP,
+    MIN_EXCESS,
+    Ground,
+    Region,
+    evidence_of,
+    grow,
+    refitted,
+    window,
+)
 from jprimfit.primitives.table import KINDS
 from jprimfit.types import Cone
 
@@ -30,6 +40,7 @@ SMALL_REGION = 80  # points; a larger region of a clean cloud is no coincidence
 SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to be tried
 QUIET = 0.05  # noise per spacing
 MAX_UPRIGHT = np.radians(1.0)  # half-angle of a cone that may be a cylinder
+EXACT = 0.98  # of the points of a patch, and of the evidence for them
 FACET_SEEDS, FACET_POINTS = 7, 16  # places in a curved region where a plane is tried, and points to begin it with
 
 
@@ -122,7 +133,12 @@ def _grow_patches(ground: Ground, patches: tuple[Int[np.ndarray, "_"], ...]) -> 
         rows = patch[ground.surface.core[patch] & ~ground.taken[patch] & ~ground.claimed[patch]]
         if len(rows) < max(SEED_POINTS[0], 0.5 * ground.surface.core[patch].sum()):
             continue  # too small, or mostly explained by others
-        grown = [region for kind in ground.sought if (region := grow(ground, rows, kind)) is not None]
+        grown: list[Region] = []
+        for kind in sorted(ground.sought, key=lambda kind: -HANDICAP[kind]):
+            region = grow(ground, rows, kind)
+            grown += [] if region is None else [region]
+            if region is not None and _is_exact(ground, region, rows):
+                break  # freer kinds cannot fit better
         if not grown:
             continue
         region = _outgrown(ground, max(grown, key=lambda region: region.evidence))
@@ -131,6 +147,15 @@ def _grow_patches(ground: Ground, patches: tuple[Int[np.ndarray, "_"], ...]) -> 
         else:
             regions.append(_take(ground, region))
     return regions
+
+
+def _is_exact(ground: Ground, region: Region, patch: np.ndarray) -> bool:
+    """Whether a region of a clean cloud holds its patch and fits as well as a fit can."""
+    return (
+        is_quiet(ground.surface)
+        and np.isin(patch, region.rows).mean() > EXACT
+        and region.evidence > EXACT * FULL_EVIDENCE * HANDICAP[region.primitive.kind] * len(region.rows)
+    )
 
 
 def _is_faceted(ground: Ground, region: Region) -> bool:
@@ -149,7 +174,7 @@ def _is_faceted(ground: Ground, region: Region) -> bool:
         plane = grow(inside, near, "plane")
         if plane is not None:
             flat, _ = inside.cloud.agreement(plane.primitive, plane.rows)
-            gain = 4.5 * float(np.sum(np.square(curved[plane.rows]) - np.square(flat))) / ground.tolerance**2
+            gain = FULL_EVIDENCE * float(np.sum(np.square(curved[plane.rows]) - np.square(flat))) / ground.tolerance**2
             votes += gain > SIGNIFICANT
         if votes > FACET_SEEDS / 2 or votes + FACET_SEEDS - tried < FACET_SEEDS / 2:
             break
@@ -248,14 +273,12 @@ def _regrow(ground: Ground, region: Region) -> Region | None:
     """
     best = None
     own = refitted(ground, region.primitive.kind, region.rows)
+    weight = 0.5 * len(region.rows) / (ground.tolerance / 3.0) ** 2
+    if own is None or weight * own.rms**2 < SIGNIFICANT:
+        return None
     for kind in ground.sought:
-        if kind == region.primitive.kind:
-            continue
-        other = refitted(ground, kind, region.rows)
-        if other is None or own is None:
-            continue
-        gain = 0.5 * len(region.rows) * (own.rms**2 - other.rms**2) / (ground.tolerance / 3.0) ** 2
-        if gain < SIGNIFICANT:
+        other = None if kind == region.primitive.kind else refitted(ground, kind, region.rows)
+        if other is None or weight * (own.rms**2 - other.rms**2) < SIGNIFICANT:
             continue
         grown = grow(ground, region.rows, kind)
         if grown is not None and grown.evidence > max(region.evidence, best.evidence if best else 0.0):

@@ -72,10 +72,15 @@ def fit(
 
 
 def guess(
-    kind: str, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], rows: Int[np.ndarray, " r"]
+    kind: str,
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    rows: Int[np.ndarray, " r"],
+    *,
+    start: Primitive | None = None,
 ) -> Fitted | None:
     """A primitive of one kind near the rows, from few of them, that more points may confirm; None if not finite."""
-    return _fit(kind, points, normals, _some(rows, FEW), None, False, is_guess=True)
+    return _fit(kind, points, normals, _some(rows, FEW), start, False, is_guess=True)
 
 
 def _some(rows: np.ndarray, count: int) -> np.ndarray:

@@ -22,6 +22,7 @@ MIN_EXCESS = 5  # points beyond the degrees of freedom that a region must have
 MAX_SEED_RMS = 2.0  # tolerances; a first fit worse than this is not grown
 GROWTH_ROUNDS = 16
 HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.88}  # factor on the evidence
+FULL_EVIDENCE = 4.5  # nats of a point at distance 0: half of three standard deviations squared
 TYPE_WEIGHT = 0.5  # of a point's log-probability of the kind: neighbours say the same, so it is not evidence of its own
 NARROW = 2.1  # tolerances: radius of a disk that a region must have the points of
 
@@ -56,7 +57,7 @@ def grow(ground: Ground, patch: Int[np.ndarray, " p"], kind: str) -> Region | No
     rows, primitive, evidence = patch, None, 0.0
     free = np.flatnonzero(~ground.taken)
     for _ in range(GROWTH_ROUNDS):
-        fitted = refitted(ground, kind, rows)
+        fitted = refitted(ground, kind, rows, start=primitive)
         if fitted is None or (primitive is None and fitted.rms > MAX_SEED_RMS * ground.tolerance):
             break
         center = points[rows].mean(axis=0)
@@ -93,9 +94,11 @@ def _connected(ground: Ground, members: np.ndarray, rows: np.ndarray) -> tuple[n
     return members[places], places
 
 
-def refitted(ground: Ground, kind: str, rows: Int[np.ndarray, " r"]) -> kinds.Fitted | None:
+def refitted(
+    ground: Ground, kind: str, rows: Int[np.ndarray, " r"], *, start: Primitive | None = None
+) -> kinds.Fitted | None:
     """A guess at the primitive of one kind through the rows, from some of them."""
-    return kinds.guess(kind, ground.points, ground.surface.normal, rows)
+    return kinds.guess(kind, ground.points, ground.surface.normal, rows, start=start)
 
 
 def evidence_of(ground: Ground, kind: str, rows: Int[np.ndarray, " r"], distance: Float[np.ndarray, " r"]) -> float:
@@ -103,7 +106,7 @@ def evidence_of(ground: Ground, kind: str, rows: Int[np.ndarray, " r"], distance
 
     A distance at the limit, three standard deviations, says nothing.
     """
-    fit = float(np.sum(4.5 * (1.0 - np.square(distance / ground.tolerance))))
+    fit = FULL_EVIDENCE * float(np.sum(1.0 - np.square(distance / ground.tolerance)))
     return HANDICAP[kind] * fit + TYPE_WEIGHT * float(ground.log_types[rows, KINDS.index(kind)].sum())
 
 
