@@ -14,7 +14,7 @@ from jprimfit.fitting import shapes
 from jprimfit.types import Primitive
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e9
-GAIN, ROUGH = 1e-5, 1e-3  # of the cost: a step that gains less is the last, and where a guess will do
+GAIN = 1e-5  # of the cost: a step that gains less is the last; with 1e-3 what is grown under noise is worse
 ROUNDING = 1e-12  # an rms distance that is zero
 RIDGE = 10.0 * np.finfo(float).eps
 
@@ -27,13 +27,13 @@ class Minimum(NamedTuple):
     ok: bool  # all of it is finite
 
 
-def minimise(start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int, gain: float = GAIN) -> Minimum:
+def minimise(start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int) -> Minimum:
     """Lowers the squared distances of n points (3, n) to a surface by at most num_steps steps."""
     with np.errstate(all="ignore"):  # a step that leads nowhere overflows, and is not taken
-        return _minimise(start, coordinates, num_steps, gain)
+        return _minimise(start, coordinates, num_steps)
 
 
-def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int, least: float) -> Minimum:
+def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int) -> Minimum:
     count, damping = coordinates.shape[1], FIRST_DAMPING
     linear = shapes.linearised(primitive, coordinates)
     cost, gradient, hessian = _system(linear)
@@ -44,7 +44,7 @@ def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int, lea
         next_cost, next_gradient, next_hessian = _system(linear)
         better = next_cost < cost and math.isfinite(next_hessian.sum())
         gain = cost - next_cost if better else -0.5 * float(gradient @ step)
-        is_last = (damping <= FIRST_DAMPING or not better) and gain <= least * cost
+        is_last = (damping <= FIRST_DAMPING or not better) and gain <= GAIN * cost
         if better:
             primitive, cost, gradient, hessian = trial, next_cost, next_gradient, next_hessian
         damping = min(max(damping * (0.1 if better else 10.0), MIN_DAMPING), MAX_DAMPING)

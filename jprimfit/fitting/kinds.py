@@ -19,7 +19,6 @@ SAMPLE = 8_192  # rows that a fit looks at, at most
 FEW = 256  # rows that are enough for a guess
 # Steps of the polish: the closed form is exact for planes, and poor for a cone seen far from its apex.
 NUM_STEPS = {"plane": 0, "sphere": 6, "cylinder": 10, "cone": 30}
-FEW_STEPS = 10  # of a guess
 
 
 class Fitted(NamedTuple):
@@ -68,36 +67,8 @@ def fit(
     the closed-form estimate, which hangs on the normals for cylinders and cones. determined=False: give any that is
     finite.
     """
-    return _fit(kind, points, normals, _some(rows, sample), start, determined)
-
-
-def guess(
-    kind: str,
-    points: Float[np.ndarray, "n 3"],
-    normals: Float[np.ndarray, "n 3"],
-    rows: Int[np.ndarray, " r"],
-    *,
-    start: Primitive | None = None,
-) -> Fitted | None:
-    """A primitive of one kind near the rows, from few of them, that more points may confirm; None if not finite."""
-    return _fit(kind, points, normals, _some(rows, FEW), start, False, is_guess=True)
-
-
-def _some(rows: np.ndarray, count: int) -> np.ndarray:
-    """At most so many of the rows, at even steps."""
-    return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(int)]
-
-
-def _fit(
-    kind: str,
-    points: np.ndarray,
-    normals: np.ndarray,
-    rows: np.ndarray,
-    start: Primitive | None,
-    determined: bool,
-    *,
-    is_guess: bool = False,
-) -> Fitted | None:
+    if len(rows) > sample:
+        rows = rows[np.linspace(0, len(rows) - 1, sample).astype(int)]
     chosen = points[rows]
     center = chosen.mean(axis=0)
     centred = chosen - center[None, :]
@@ -112,9 +83,7 @@ def _fit(
         begin = first.primitive
     else:
         begin = move(start, -center / size, 1.0 / size)
-    num_steps = min(NUM_STEPS[kind], FEW_STEPS if is_guess else NUM_STEPS[kind])
-    gain = descent.ROUGH if is_guess else descent.GAIN
-    found = descent.minimise(begin, coordinates, num_steps=num_steps, gain=gain)
+    found = descent.minimise(begin, coordinates, num_steps=NUM_STEPS[kind])
     return Fitted(move(found.primitive, center, size), found.rms * size) if found.ok else None
 
 

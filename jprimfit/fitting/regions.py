@@ -98,7 +98,7 @@ def refitted(
     ground: Ground, kind: str, rows: Int[np.ndarray, " r"], *, start: Primitive | None = None
 ) -> kinds.Fitted | None:
     """A guess at the primitive of one kind through the rows, from some of them."""
-    return kinds.guess(kind, ground.points, ground.surface.normal, rows, start=start)
+    return kinds.fit(kind, ground.points, ground.surface.normal, rows, sample=kinds.FEW, start=start, determined=False)
 
 
 def evidence_of(ground: Ground, kind: str, rows: Int[np.ndarray, " r"], distance: Float[np.ndarray, " r"]) -> float:
