@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import lapack
 
 from jprimfit.fitting import shapes
 from jprimfit.types import Primitive
@@ -62,13 +63,11 @@ def _system(linear: shapes.Linear) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def _solved(gradient: np.ndarray, hessian: np.ndarray, damping: float) -> np.ndarray:
-    """(H + damping diag H)^-1 g by a Cholesky factor of the scaled H; 0 where there is none."""
-    diagonal = np.sqrt(np.diagonal(hessian))
-    shrink = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+    """(H + damping diag H)^-1 g by a Cholesky factor at a diagonal of 1; 0 where there is none."""
+    diagonal = np.sqrt(hessian.diagonal())
+    shrink = 1.0 / np.where(diagonal > 0.0, diagonal, np.inf)
     scaled = shrink[:, None] * hessian * shrink
     scaled.flat[:: len(scaled) + 1] += damping + RIDGE
-    try:
-        step = shrink * np.linalg.solve(scaled, shrink * gradient)
-    except np.linalg.LinAlgError:
-        return np.zeros_like(gradient)
-    return step if math.isfinite(step.sum()) else np.zeros_like(gradient)
+    _, step, failed = lapack.dposv(scaled, shrink * gradient)
+    step = shrink * step
+    return np.zeros_like(gradient) if failed or not math.isfinite(step.sum()) else step

@@ -122,7 +122,7 @@ def retract(primitive: Primitive, step: Float[np.ndarray, " p"]) -> Any:
         return Sphere(primitive.center + step[:3], primitive.radius + step[3])
     frame = host.frame_of(primitive[0])
     axis = frame[2] + step[0] * frame[0] + step[1] * frame[1]
-    axis = axis / np.linalg.norm(axis)
+    axis = axis / math.sqrt(axis @ axis)
     if isinstance(primitive, Plane):
         return Plane(axis, primitive.offset * (axis @ primitive.normal) + step[2])
     shift = step[2] * frame[0] + step[3] * frame[1]

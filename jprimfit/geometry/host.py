@@ -188,7 +188,7 @@ def frame_of(axis: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
     smallest = min(abs(x), abs(y), abs(z))
     first = (0.0, z, -y) if abs(x) == smallest else (-z, 0.0, x) if abs(y) == smallest else (y, -x, 0.0)
     length = math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2) or 1.0
-    a, b, c = (component / length for component in first)
+    a, b, c = first[0] / length, first[1] / length, first[2] / length
     return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a], [x, y, z]])
 
 
