@@ -151,11 +151,9 @@ def _grow_patches(ground: Ground, patches: tuple[Int[np.ndarray, "_"], ...]) -> 
 
 def _is_exact(ground: Ground, region: Region, patch: np.ndarray) -> bool:
     """Whether a region of a clean cloud holds its patch and fits as well as a fit can."""
-    return (
-        is_quiet(ground.surface)
-        and np.isin(patch, region.rows).mean() > EXACT
-        and region.evidence > EXACT * FULL_EVIDENCE * HANDICAP[region.primitive.kind] * len(region.rows)
-    )
+    full = FULL_EVIDENCE * HANDICAP[region.primitive.kind] * len(region.rows)
+    held = np.isin(patch, region.rows).mean()
+    return is_quiet(ground.surface) and region.evidence > EXACT * full and bool(held > EXACT)
 
 
 def _is_faceted(ground: Ground, region: Region) -> bool:
