@@ -68,6 +68,6 @@ def _solved(gradient: np.ndarray, hessian: np.ndarray, damping: float) -> np.nda
     shrink = 1.0 / np.where(diagonal > 0.0, diagonal, np.inf)
     scaled = shrink[:, None] * hessian * shrink
     scaled.flat[:: len(scaled) + 1] += damping + RIDGE
-    _, step, failed = lapack.dposv(scaled, shrink * gradient)
+    _, step, failed = lapack.dposv(scaled, shrink * gradient)  # pyright: ignore[reportAttributeAccessIssue]
     step = shrink * step
     return np.zeros_like(gradient) if failed or not math.isfinite(step.sum()) else step

@@ -1,6 +1,6 @@
 """The parameters that are reported: of all points of a surface, in float64, and without bias from their noise.
 
-While surfaces are sought they are fitted by least squares in float32 on a sample, which is fast and which noise biases
+While surfaces are sought they are fitted by least squares on a sample, which is fast and which noise biases
 on curved ones. What stands in the answer is the solution of the corrected equations (primitives/estimation.py, here
 written out for the host) that starts from there. Host code; n points.
 """
