@@ -230,6 +230,8 @@ _shipped = lru_cache(weights.load)
 
 def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the first of each distinct point, ascending, and for every row which of those it equals."""
+    if len(np.unique(points[:, 0])) == len(points):
+        return np.arange(len(points)), np.arange(len(points))
     _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,9 @@ EXAMPLES = """examples:
   python evaluate.py --compare --json scores.json          network, network with refinement, and geometry alone
   python evaluate.py --data parts.h5 --split val --noise 1
   python evaluate.py --protocol fit4cad --data fit4cad.h5 --clouds 1-151 --method geometry
+  python evaluate.py --ckpt default runs/small --refine    two networks on the same clouds
   python evaluate.py --method ransac --refine              CGAL's Efficient RANSAC, its own fits and ours
+  python evaluate.py --table 1 --data standard.h5          Table 1: both shipped networks, and all else
   python evaluate.py --table parameters --datasets 1000    single primitives against the bounds of statistics
 
 what is measured (--protocol six), per part, then the mean over parts with its standard error:
@@ -54,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's options to a parser."""
     add = parser.add_argument
     add("--protocol", choices=["six", "fit4cad"], default="six", help="what is measured (default six)")
-    add("--ckpt", metavar="DIR", help="network: default, spfn, or the folder of one (default: default)")
+    add("--ckpt", nargs="+", metavar="DIR", help="networks: default, spfn, or folders of some (default: default)")
     add("--data", type=Path, metavar="FILE", help="data set, or the clouds of Fit4CAD (default: the test set)")
     add("--split", default="test", metavar="NAME", help="of the data set (default test)")
     add("--method", default="pointconv", metavar="NAME", help=f"{', '.join(METHODS)} (default pointconv)")
@@ -76,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--thin", type=float, default=100.0, metavar="P", help="fit4cad: keep P %% of the points (default 100)")
     add("--outliers", type=float, default=0.0, metavar="P", help="fit4cad: add P %% of points in the box (default 0)")
     add("--json", type=Path, metavar="FILE", help="write the scores of every part as JSON")
-    add("--table", choices=["parameters", "1", "timing"], help="a table of the paper; built: parameters")
+    add("--table", choices=["parameters", "1", "timing"], help="a table of the paper; built: parameters, 1")
     add("--datasets", type=int, default=100, metavar="N", help="table parameters: data sets per cell (default 100)")
     add("--block", choices=BLOCKS, help="table parameters: only this block (default all)")
     add("--patch", metavar="WORDS", help="table parameters: only patches whose name holds these words (default all)")
@@ -104,8 +106,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuses what cannot be meant, before anything is computed."""
-    if arguments.table in ("1", "timing"):
-        raise ValueError(f"--table {arguments.table} is not built yet: use --table parameters, or --compare.")
+    if arguments.table == "timing":
+        raise ValueError("--table timing is not built yet: use --table parameters, --table 1, or --compare.")
+    if arguments.table == "1" and (arguments.protocol != "six" or arguments.method in NO_NETWORK):
+        raise ValueError("--table 1 compares all methods by the six metrics: leave --protocol and --method out.")
+    if arguments.protocol == "fit4cad" and len(arguments.ckpt or []) > 1:
+        raise ValueError("--protocol fit4cad takes one network: give one --ckpt.")
     if arguments.method in LATER:
         raise ValueError(f"--method {arguments.method} is not built yet: use {' or '.join(METHODS)}, or --compare.")
     if arguments.datasets < 2:
@@ -141,8 +147,40 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--data {arguments.data} is not a file; give a data set or leave it out.")
 
 
-def _ckpt(arguments: argparse.Namespace) -> str:
-    return arguments.ckpt or ("spfn" if arguments.method == "spfn" else "default")
+class Method(NamedTuple):
+    """One row of the tables."""
+
+    words: str
+    answer: str  # a key of WORDS
+    ckpt: str | None = None  # of the network, where there is one
+
+
+def _networks(arguments: argparse.Namespace) -> list[str]:
+    from jprimfit.networks.weights import SHIPPED
+
+    if arguments.table == "1":
+        return arguments.ckpt or list(SHIPPED)
+    return arguments.ckpt or ["spfn" if arguments.method == "spfn" else "default"]
+
+
+def _methods(arguments: argparse.Namespace) -> dict[str, Method]:
+    """What is compared, by its name in the JSON."""
+    others = {name: Method(WORDS[name], name) for name in ("geometry", "ransac", "refitted")}
+    if arguments.method == "geometry":
+        return {"geometry": others["geometry"]}
+    if arguments.method == "ransac":
+        return {name: others[name] for name in ("ransac", "refitted")[: 1 + bool(arguments.refine)]}
+    answers = ["network"] + ["refined"] * bool(arguments.refine or arguments.compare or arguments.table)
+    ckpts = _networks(arguments)
+    chosen = {}
+    for answer in answers:
+        for ckpt in ckpts:
+            one, words = answer, WORDS[answer]
+            if len(ckpts) > 1:
+                one, words = f"{ckpt} {answer}", words.replace("network", ckpt)
+            chosen[one] = Method(words, answer, ckpt)
+    beside = list(others) if arguments.table else ["geometry"] * arguments.compare
+    return chosen | {name: others[name] for name in beside}
 
 
 def _six(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -151,59 +189,66 @@ def _six(arguments: argparse.Namespace) -> dict[str, Any]:
     from jprimfit.evaluation import six, tables
     from jprimfit.networks import weights
 
-    names = [arguments.method] if arguments.method in NO_NETWORK else ["network"]
-    if arguments.refine or arguments.compare:
-        names.append("refitted" if arguments.method == "ransac" else "refined")
-    if arguments.compare:
-        names.append("geometry")
-    model = None if arguments.method in NO_NETWORK else weights.load(_ckpt(arguments))
+    chosen = _methods(arguments)
+    models = {method.ckpt: weights.load(method.ckpt) for method in chosen.values() if method.ckpt}
     data = arguments.data or _test_set()
-    with Dataset(data) as dataset:
+    with Dataset(data) as dataset, contextlib.ExitStack() as stack:
         numbers = six.parts_of(dataset, arguments.split, every=arguments.every, most=arguments.parts)
+        # Hours of networks should not end in the news that CGAL is not installed.
+        detector = _detector(arguments, stack) if "ransac" in chosen else None
         methods = {}
-        for name in names:
-            rows = _rows(name, dataset, numbers, model, arguments)
+        for name, method in chosen.items():
+            rows = _rows(method, dataset, numbers, models.get(method.ckpt or ""), detector, arguments)
             methods[name] = {**tables.summarise(rows), "parts": rows}
-    shown = {WORDS[name]: scores for name, scores in methods.items()}
+    shown = {chosen[name].words: scores for name, scores in methods.items()}
     print(tables.overall_text(shown), end="\n\n")
     print(tables.groups_text(shown), end="\n\n")
+    print(tables.families_text({words: scores["parts"] for words, scores in shown.items()}), end="\n\n")
     noise = "uniform noise of 0.01" if arguments.noise is None else f"noise of {arguments.noise:g} % of the diagonal"
     print(
         f"{len(numbers)} parts of split {arguments.split} of {data}, {arguments.points:,} points each, {noise}; "
         "± standard error; s/part is the method's own time"
     )
+    first = next(iter(methods))
     about = {
         "data": str(data),
         "split": arguments.split,
         "points": arguments.points,
         "noise_percent": arguments.noise,
-        "ckpt": None if model is None else _ckpt(arguments),
-        "method": names[0],
+        "ckpt": chosen[first].ckpt,
+        "method": first,
     }
-    return {**methods[names[0]], **about, "methods": methods}
+    return {**methods[first], **about, "methods": methods}
 
 
-def _rows(name: str, dataset: Any, numbers: Any, model: "Model | None", arguments: argparse.Namespace) -> list[dict]:
+def _rows(
+    method: Method,
+    dataset: Any,
+    numbers: Any,
+    model: "Model | None",
+    detector: "tuple[Settings, Detector] | None",
+    arguments: argparse.Namespace,
+) -> list[dict]:
     """The scores of one method on all parts, with a bar that shows the mean mIoU."""
     from tqdm import tqdm
 
     from jprimfit.evaluation import answers, six
 
-    network = model.config if model is not None and name == "network" else None
+    network = model.config if model is not None and method.answer == "network" else None
     found = six.cases(dataset, numbers, network=network, num_points=arguments.points, noise=arguments.noise)
+    scores: Iterator[dict[str, Any]]
+    if method.answer == "network":
+        assert model is not None
+        scores = six.network_scores(model, found, batch_size=min(BATCH, len(numbers)))
+    elif method.answer in ("ransac", "refitted"):
+        assert detector is not None
+        settings, detect = detector
+        answer = partial(answers.ransac_scene, detect, settings, refit=method.answer == "refitted")
+        scores = six.scene_scores(found, answer)
+    else:
+        scores = six.scene_scores(found, six.pipeline_with(model))
     rows = []
-    with contextlib.ExitStack() as stack:
-        scores: Iterator[dict[str, Any]]
-        if name == "network":
-            assert model is not None
-            scores = six.network_scores(model, found, batch_size=min(BATCH, len(numbers)))
-        elif name in ("ransac", "refitted"):
-            settings, detect = _detector(arguments, stack)
-            answer = partial(answers.ransac_scene, detect, settings, refit=name == "refitted")
-            scores = six.scene_scores(found, answer)
-        else:
-            scores = six.scene_scores(found, six.pipeline_with(None if name == "geometry" else model))
-        bar = stack.enter_context(tqdm(total=len(numbers), desc=WORDS[name], unit="part", mininterval=0.5))
+    with tqdm(total=len(numbers), desc=method.words, unit="part", mininterval=0.5) as bar:
         for row in scores:
             rows.append(row)
             bar.set_postfix_str(f"mIoU {100 * np.mean([row['miou'] for row in rows]):.1f} %", refresh=False)
@@ -242,7 +287,7 @@ def _fit4cad(arguments: argparse.Namespace) -> dict[str, Any]:
     from jprimfit.networks import weights
 
     first, last = _range(arguments.clouds)
-    model = None if arguments.method in NO_NETWORK else weights.load(_ckpt(arguments))
+    model = None if arguments.method in NO_NETWORK else weights.load(_networks(arguments)[0])
     changes = {
         "rotate": arguments.rotate,
         "noise": arguments.noise or 0.0,

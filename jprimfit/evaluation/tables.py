@@ -76,6 +76,18 @@ def groups_text(summaries: Mapping[str, Summary]) -> str:
     return text_table(["method", "instances", "number", *(METRICS[name][0] for name in names)], table)
 
 
+def families_text(parts: Mapping[str, Sequence[Score]]) -> str:
+    """One line per family of parts: mIoU and share of right kinds of every method; parts: the scores of each."""
+    every = list(parts.values())
+    families = list(dict.fromkeys(part["family"] for part in every[0]))
+    table = []
+    for family in families:
+        chosen = [summarise([part for part in scores if part["family"] == family]) for scores in every]
+        cells = [" / ".join(_cell(one, name, 100.0, 1) for name in ("miou", "type_accuracy")) for one in chosen]
+        table.append([family, str(sum(part["family"] == family for part in every[0])), *cells])
+    return text_table(["mIoU % / type %", "parts", *parts], table)
+
+
 def without_nan(value: Any) -> Any:
     """The value with null for NaN and infinity, which JSON does not know."""
     if isinstance(value, Mapping):

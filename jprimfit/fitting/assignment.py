@@ -12,9 +12,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from jprimfit.fitting import kinds
+from jprimfit.fitting import kinds, shapes
 from jprimfit.fitting.local import LocalSurface
 from jprimfit.fitting.merging import Surface
+from jprimfit.primitives.table import MODULES
 
 NUM_VOTERS = 9  # neighbours, the point included, whose surfaces are candidates
 SWEEPS = 6
@@ -23,6 +24,9 @@ MAX_TURN = 2.0  # of these at most: beside an edge a normal may be worth nothing
 SAME_NEIGHBORS = 1.5  # bonus where all neighbours lie on the surface already
 SMALL_SURFACE = 0.25  # cost of each e-fold of a surface's size
 MAX_LINK = 3.0  # length of a link, in distances to the farthest of the voters
+MAX_DISTANCE = 1.5  # tolerances; a point that lies farther off is not on a surface
+UNEXPLAINED = 4.5  # cost of a point that lies on none, that of three standard deviations
+SIGNIFICANT = 8.0  # nats that a surface must gain beyond what its parameters cost
 CHUNK = 65_536  # points whose votes are compared at a time
 MIN_FACE = 6  # points that a face has at least; a smaller part cut off from its surface is none
 SPECK = 8.5  # tolerances: radius of a disk below which noise alone can look like a face
@@ -66,23 +70,31 @@ def _unanimous(cost: Float[np.ndarray, "s n"], labels: Int[np.ndarray, " n"]) ->
     return np.where(np.isfinite(cost[labels, np.arange(len(labels))]), labels, -1)
 
 
+def linked(points: Float[np.ndarray, "n 3"], surface: LocalSurface) -> Int[np.ndarray, "n l"]:
+    """The neighbours that connect each point; the point itself in the place of those that are none by both measures.
+
+    An outlier's neighbours have others much nearer.
+    """
+    index = surface.index[:, 1:NUM_VOTERS]
+    reach = np.sqrt(np.square(points[index[:, -1]] - points).sum(axis=1))
+    links = np.empty_like(index)
+    for place, beside in enumerate(index.T):
+        distance = np.sqrt(np.square(points[beside] - points).sum(axis=1))
+        near = distance <= MAX_LINK * np.minimum(reach, reach[beside])
+        links[:, place] = np.where(near, beside, np.arange(len(points)))
+    return links
+
+
 def faces(
-    points: Float[np.ndarray, "n 3"],
-    surface: LocalSurface,
-    labels: Int[np.ndarray, " n"],
-    *,
-    min_points: int = MIN_FACE,
+    links: Int[np.ndarray, "n l"], labels: Int[np.ndarray, " n"], *, min_points: int = MIN_FACE
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " faces"]]:
     """Splits every surface into its connected faces: face of every point (-1 = none), and the surface of every face.
 
-    Faces are numbered by falling number of points. Parts of fewer than min_points points become -1.
+    links: of `linked`. Faces are numbered by falling number of points. Parts of fewer than min_points points become -1.
     """
-    index = surface.index[:, 1:NUM_VOTERS]
-    start, column = np.nonzero((labels[index] == labels[:, None]) & (labels >= 0)[:, None])
-    end = index[start, column]
-    near = _near(points, index, start, end)
-    bounds = np.concatenate([[0], np.cumsum(np.bincount(start[near], minlength=len(labels)))])
-    matrix = csr_matrix((np.ones(bounds[-1]), end[near], bounds), shape=(len(labels),) * 2)
+    inside = (labels[links] == labels[:, None]) & (labels >= 0)[:, None]
+    bounds = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
+    matrix = csr_matrix((np.ones(bounds[-1]), links[inside], bounds), shape=(len(labels),) * 2)
     _, component = connected_components(matrix, directed=False)
     component[labels < 0] = -1
     numbers, sizes = np.unique(component[component >= 0], return_counts=True)
@@ -97,7 +109,7 @@ def faces(
 
 
 def without_specks(
-    points: Float[np.ndarray, "n 3"],
+    links: Int[np.ndarray, "n l"],
     surface: LocalSurface,
     labels: Int[np.ndarray, " n"],
     *,
@@ -108,25 +120,52 @@ def without_specks(
 
     assign then asks what lies around them.
     """
-    face, _ = faces(points, surface, labels)
+    face, _ = faces(links, labels)
     size = np.append(np.bincount(face[face >= 0], minlength=1), 0)[face]
-    smallest = min(surface.num_in_disk(SPECK * tolerance), SPECK_SHARE * len(points))
+    smallest = min(surface.num_in_disk(SPECK * tolerance), SPECK_SHARE * len(labels))
     return np.where(size < max(smallest, min_points), -1, labels).astype(np.int32)
 
 
-def _near(points, index, start, end) -> np.ndarray:
-    """Whether two points are neighbours by the measure of both: an outlier's neighbours have others much nearer."""
-    reach = np.sqrt(np.square(points[index[:, -1]] - points).sum(axis=1))
-    distance = np.sqrt(np.square(points[start] - points[end]).sum(axis=1))
-    return distance <= MAX_LINK * np.minimum(reach[start], reach[end])
+def without_needless(
+    points: Float[np.ndarray, "n 3"],
+    surface: LocalSurface,
+    surfaces: list[Surface],
+    links: Int[np.ndarray, "n l"],
+    labels: Int[np.ndarray, " n"],
+    *,
+    tolerance: float,
+) -> Int[np.ndarray, " n"]:
+    """The labels with -1 on surfaces whose points the surfaces around them explain nearly as well.
+
+    A few points from either side of an edge make a surface of their own. One has to explain its points better by what
+    its parameters cost (G. Schwarz 1978); the smallest is judged first, and those that stay judge the others.
+    """
+    cloud, labels = kinds.Cloud(points, surface.normal), labels.copy()
+    for number in np.argsort(np.bincount(labels[labels >= 0], minlength=len(surfaces)), kind="stable"):
+        rows = np.flatnonzero(labels == number)
+        around = np.setdiff1d(labels[links[rows]], [-1, number])
+        if not len(rows) or not len(around):
+            continue
+        own, *others = (_cost(cloud, surface, surfaces[one], rows, tolerance) for one in (number, *around))
+        gain = float(np.sum(np.min([np.full(len(rows), UNEXPLAINED), *others], axis=0) - np.minimum(own, UNEXPLAINED)))
+        freedom = MODULES[surfaces[number].primitive.kind].NUM_FREEDOM
+        if gain < SIGNIFICANT + 0.5 * freedom * np.log(len(rows)):
+            labels[rows] = -1
+    return labels
 
 
 def _costs(points, surface, surfaces, tolerance) -> Float[np.ndarray, "s n"]:
     cloud = kinds.Cloud(points, surface.normal)
-    cost = np.empty((len(surfaces), len(points)), np.float32)
+    cost = np.full((len(surfaces), len(points)), np.inf, np.float32)
     for number, candidate in enumerate(surfaces):
-        distance, cosine = cloud.agreement(candidate.primitive)
-        turn = np.minimum(np.arccos(np.minimum(cosine, 1.0)) / NORMAL_SCALE, MAX_TURN)
-        cost[number] = 0.5 * np.square(3.0 * distance / tolerance) + 0.5 * np.square(turn) * surface.core
-        cost[number][distance > 1.5 * tolerance] = np.inf
+        distance = np.abs(shapes.signed_distances(candidate.primitive, cloud.coordinates))
+        near = np.flatnonzero(distance <= MAX_DISTANCE * tolerance)
+        cost[number, near] = _cost(cloud, surface, candidate, near, tolerance)
     return cost
+
+
+def _cost(cloud: kinds.Cloud, surface: LocalSurface, candidate: Surface, rows: np.ndarray, tolerance: float):
+    """Nats that it costs some points to lie on a surface."""
+    distance, cosine = cloud.agreement(candidate.primitive, rows)
+    turn = np.minimum(np.arccos(np.minimum(cosine, 1.0)) / NORMAL_SCALE, MAX_TURN)
+    return 0.5 * np.square(3.0 * distance / tolerance) + 0.5 * np.square(turn) * surface.core[rows]

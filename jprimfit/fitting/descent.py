@@ -14,6 +14,7 @@ from scipy.linalg import lapack
 from jprimfit.fitting import shapes
 from jprimfit.types import Primitive
 
+SLOW = 0.1  # of the cost: a step that gains less, far from where it would have to lead, is the last
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e9
 GAIN = 1e-5  # of the cost: a step that gains less is the last; with 1e-3 what is grown under noise is worse
 ROUNDING = 1e-12  # an rms distance that is zero
@@ -28,13 +29,18 @@ class Minimum(NamedTuple):
     ok: bool  # all of it is finite
 
 
-def minimise(start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int) -> Minimum:
-    """Lowers the squared distances of n points (3, n) to a surface by at most num_steps steps."""
+def minimise(
+    start: Primitive, coordinates: Float[np.ndarray, "3 n"], *, num_steps: int, worst: float = np.inf
+) -> Minimum:
+    """Lowers the squared distances of n points (3, n) to a surface by at most num_steps steps.
+
+    worst: rms distance beyond which the answer is of no use, so that slow progress there is given up.
+    """
     with np.errstate(all="ignore"):  # a step that leads nowhere overflows, and is not taken
-        return _minimise(start, coordinates, num_steps)
+        return _minimise(start, coordinates, num_steps, worst)
 
 
-def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int) -> Minimum:
+def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int, worst: float) -> Minimum:
     count, damping = coordinates.shape[1], FIRST_DAMPING
     linear = shapes.linearised(primitive, coordinates)
     cost, gradient, hessian = _system(linear)
@@ -45,7 +51,8 @@ def _minimise(primitive: Primitive, coordinates: np.ndarray, num_steps: int) -> 
         next_cost, next_gradient, next_hessian = _system(linear)
         better = next_cost < cost and math.isfinite(next_hessian.sum())
         gain = cost - next_cost if better else -0.5 * float(gradient @ step)
-        is_last = (damping <= FIRST_DAMPING or not better) and gain <= GAIN * cost
+        least = SLOW if min(cost, next_cost) > 0.5 * count * worst**2 else GAIN
+        is_last = (damping <= FIRST_DAMPING or not better) and gain <= least * cost
         if better:
             primitive, cost, gradient, hessian = trial, next_cost, next_gradient, next_hessian
         damping = min(max(damping * (0.1 if better else 10.0), MIN_DAMPING), MAX_DAMPING)

@@ -60,12 +60,13 @@ def fit(
     sample: int = SAMPLE,
     start: Primitive | None = None,
     determined: bool = True,
+    worst: float = np.inf,
 ) -> Fitted | None:
     """The least-squares primitive of one kind through the rows of a cloud; None where they do not determine it.
 
     sample: at most so many rows, taken at even steps, are looked at. start: polish this one (of this kind) instead of
     the closed-form estimate, which hangs on the normals for cylinders and cones. determined=False: give any that is
-    finite.
+    finite. worst: rms distance beyond which none is of use, and may be given unfinished.
     """
     if len(rows) > sample:
         rows = rows[np.linspace(0, len(rows) - 1, sample).astype(int)]
@@ -83,7 +84,7 @@ def fit(
         begin = first.primitive
     else:
         begin = move(start, -center / size, 1.0 / size)
-    found = descent.minimise(begin, coordinates, num_steps=NUM_STEPS[kind])
+    found = descent.minimise(begin, coordinates, num_steps=NUM_STEPS[kind], worst=worst / size)
     return Fitted(move(found.primitive, center, size), found.rms * size) if found.ok else None
 
 

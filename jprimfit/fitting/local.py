@@ -8,7 +8,6 @@ Host code in float64 (NumPy); lengths in the unit of the cloud. n points, k neig
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from scipy.special import gammaincinv
 
 from jprimfit.cores import num_cores
 from jprimfit.geometry import host
+from jprimfit.types import Neighbors
 
 QUADRIC_NEIGHBORS = 13  # 6 unknowns, 7 left over to tell noise from shape
 # Quantiles of the residuals that the noise is read from: the points of smooth surface, and the quietest of them.
@@ -56,8 +56,8 @@ def describe(
     """
     neighbors = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points)))
     spacing = _spacing(points, np.sqrt(neighbors.sq_distance)) if spacing is None else spacing
+    normal, residual = _quadrics(points, neighbors)
     index = np.asarray(neighbors.index)
-    normal, residual = _quadrics(points, index)
     noise = _noise(points, residual, spacing) if noise is None else noise
     ratio = noise / spacing
     if ratio > 0.05 and not (narrow and normals is not None):
@@ -91,8 +91,7 @@ def _noise(points: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, " n"], 
     rows = np.linspace(0, len(points) - 1, min(NOISE_SAMPLE, len(points))).astype(int)
     while spacing * np.sqrt(k / np.pi) < 3.0 * noise and 2 * k <= min(len(points), 500):
         k = 2 * k
-        index = np.asarray(host.knn(points[rows], points, k=k).index)
-        wider = _quiet(_quadric_chunk(points, index)[1], k)
+        wider = _quiet(_quadrics(points, host.knn(points[rows], points, k=k))[1], k)
         if wider / noise > added:
             break
         noise, added = max(noise, wider), wider / noise
@@ -113,27 +112,37 @@ def _quiet(residual: Float[np.ndarray, " n"], k: int) -> float:
     return tenth if tenth < 0.1 * third else third
 
 
-def _quadrics(points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normal of the least-squares quadric at each point, and the rms of what it leaves over."""
-    chunks = [index[start : start + CHUNK] for start in range(0, len(points), CHUNK)]
+def _quadrics(points: Float[np.ndarray, "n 3"], neighbors: Neighbors) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normal of the least-squares quadric around each of m places, and the rms of what it leaves over."""
+    index = np.asarray(neighbors.index)
+    upwards = host.pca_normals(points, k=index.shape[1], neighbors=neighbors).normal
+    coordinates, starts = np.ascontiguousarray(points.T), range(0, len(index), CHUNK)
+    chunks = [(index[start : start + CHUNK], upwards[start : start + CHUNK]) for start in starts]
     with ThreadPoolExecutor(num_cores()) as pool:  # NumPy computes without holding the interpreter
-        normal, residual = zip(*pool.map(partial(_quadric_chunk, points), chunks), strict=True)
+        normal, residual = zip(*pool.map(lambda chunk: _quadric_chunk(coordinates, *chunk), chunks), strict=True)
     return np.concatenate(normal), np.concatenate(residual)
 
 
-def _quadric_chunk(points: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    offset = points[index] - points[index[:, :1]]
-    size = np.sqrt(np.maximum(np.square(offset).sum(axis=2).max(axis=1), 1e-300))
-    offset = offset / size[:, None, None]
-    centred = offset - offset.mean(axis=1, keepdims=True)
-    _, frame = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
-    z, x, y = np.moveaxis(offset @ frame, 2, 0)
-    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)
-    gram = np.swapaxes(design, 1, 2) @ design + 1e-9 * np.eye(6)[None]
-    coefficients = np.linalg.solve(gram, np.swapaxes(design, 1, 2) @ z[:, :, None])
-    left = z - (design @ coefficients)[:, :, 0]
+def _quadric_chunk(coordinates: np.ndarray, index: np.ndarray, upwards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Heights along the given normals, from the first point of each row."""
+    offset = np.stack([axis.take(index) for axis in coordinates])
+    offset -= offset[:, :, :1]
+    size = np.sqrt(np.maximum(np.einsum("cmk,cmk->mk", offset, offset).max(axis=1), 1e-300))
+    offset /= size[:, None]
+    frame = _frames(upwards)
+    x, y, z = (np.einsum("cmk,mc->mk", offset, axis) for axis in frame)
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    gram = design @ np.swapaxes(design, 1, 2) + 1e-9 * np.eye(6)[None]
+    coefficients = np.linalg.solve(gram, design @ z[:, :, None])[:, :, 0]
+    left = z - np.einsum("mj,mjk->mk", coefficients, design)
     freedom = max(index.shape[1] - 6, 1)
-    residual = np.sqrt(np.square(left).sum(axis=1) / freedom) * size
-    slope = np.concatenate([np.ones_like(size)[:, None], -coefficients[:, 1:3, 0]], axis=1)
-    normal = (frame @ slope[:, :, None])[:, :, 0]
+    residual = np.sqrt(np.einsum("mk,mk->m", left, left) / freedom) * size
+    normal = frame[2] - coefficients[:, 1:2] * frame[0] - coefficients[:, 2:3] * frame[1]
     return normal / np.linalg.norm(normal, axis=1, keepdims=True), residual
+
+
+def _frames(upwards: Float[np.ndarray, "m 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three perpendicular unit vectors at each place, the last of them the given one."""
+    across = np.cross(upwards, np.eye(3)[np.abs(upwards).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return across, np.cross(upwards, across), upwards

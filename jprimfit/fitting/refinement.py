@@ -1,8 +1,8 @@
 """From surfaces proposed on a sample to the answer at full resolution: every point assigned, every surface refitted.
 
-Assign each point to its surface, give specks to what lies around them, refit each surface to its points, and again;
-then split the surfaces into connected faces. Assignment and parameters come from the raw points, whatever was thinned
-or smoothed for the proposal. Host code; lengths in the normalised frame. n points, f faces.
+Assign each point to its surface, give specks and needless surfaces to what lies around them, refit each surface to its
+points, and again; then split the surfaces into connected faces. Assignment and parameters come from the raw points,
+whatever was thinned or smoothed for the proposal. Host code; lengths in the normalised frame. n points, f faces.
 """
 
 from typing import NamedTuple
@@ -44,15 +44,16 @@ def refine(
     min_points: of a face.
     """
     described = local.describe(points, normals=normals, noise=noise, narrow=True)
-    tolerance = growing.tolerance(described)
+    tolerance, links = growing.tolerance(described), assignment.linked(points, described)
     # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
     surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     for _ in range(ROUNDS):
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
-        labels = assignment.without_specks(points, described, labels, tolerance=tolerance, min_points=min_points)
+        labels = assignment.without_specks(links, described, labels, tolerance=tolerance, min_points=min_points)
+        labels = assignment.without_needless(points, described, surfaces, links, labels, tolerance=tolerance)
         labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
         surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
-    faces, surface_of = assignment.faces(points, described, labels, min_points=min_points)
+    faces, surface_of = assignment.faces(links, labels, min_points=min_points)
     settled = {
         number: final.settled(surfaces[number].primitive, points[surfaces[number].rows])
         for number in np.unique(surface_of).tolist()

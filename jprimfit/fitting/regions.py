@@ -5,7 +5,7 @@ normal does; it is connected through core points only. Host code; lengths in the
 k neighbours.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,6 +21,7 @@ MIN_COSINE = np.cos(np.radians(25.0))  # between a core point's normal and the p
 MIN_EXCESS = 5  # points beyond the degrees of freedom that a region must have
 MAX_SEED_RMS = 2.0  # tolerances; a first fit worse than this is not grown
 GROWTH_ROUNDS = 16
+SETTLED = 0.005  # of a region's points: a round that changes no more is the last
 HANDICAP = {"plane": 1.0, "sphere": 0.96, "cylinder": 0.97, "cone": 0.88}  # factor on the evidence
 FULL_EVIDENCE = 4.5  # nats of a point at distance 0: half of three standard deviations squared
 TYPE_WEIGHT = 0.5  # of a point's log-probability of the kind: neighbours say the same, so it is not evidence of its own
@@ -55,20 +56,24 @@ def grow(ground: Ground, patch: Int[np.ndarray, " p"], kind: str) -> Region | No
     # A region hardly wider than the band it is found in could be a speck of noise.
     least = max(MIN_EXCESS + MODULES[kind].NUM_FREEDOM, int(surface.num_in_disk(NARROW * ground.tolerance)))
     rows, primitive, evidence = patch, None, 0.0
-    free = np.flatnonzero(~ground.taken)
+    free = of_free = None
     for _ in range(GROWTH_ROUNDS):
-        fitted = refitted(ground, kind, rows, start=primitive)
-        if fitted is None or (primitive is None and fitted.rms > MAX_SEED_RMS * ground.tolerance):
+        worst = MAX_SEED_RMS * ground.tolerance if primitive is None else np.inf
+        fitted = refitted(ground, kind, rows, start=primitive, worst=worst)
+        if fitted is None or fitted.rms > worst:
             break
+        if free is None or of_free is None:  # most seeds end before they need them
+            free = np.flatnonzero(~ground.taken)
+            of_free = ground.cloud.coordinates[:, free]
         center = points[rows].mean(axis=0)
         reach = 2.0 * np.sqrt(np.square(points[rows] - center).sum(axis=1).max()) + 2.0 * surface.spacing
-        near = free[np.square(points[free] - center).sum(axis=1) <= reach * reach]
+        near = free[np.square(of_free - center[:, None]).sum(axis=0) <= reach * reach]
         distance, cosine = ground.cloud.agreement(fitted.primitive, near)
         agrees = (distance <= ground.tolerance) & ((cosine >= MIN_COSINE) | ~surface.core[near])
         grown, members = _connected(ground, near[agrees], rows)
         if len(grown) < max(least, 0.5 * len(patch)) or len(grown) < 0.9 * len(rows):
             break
-        done = np.array_equal(grown, rows)
+        done = len(np.setxor1d(grown, rows, assume_unique=True)) <= SETTLED * len(grown)
         rows, primitive = grown, fitted.primitive
         evidence = evidence_of(ground, kind, grown, distance[agrees][members])
         if done:
@@ -94,11 +99,10 @@ def _connected(ground: Ground, members: np.ndarray, rows: np.ndarray) -> tuple[n
     return members[places], places
 
 
-def refitted(
-    ground: Ground, kind: str, rows: Int[np.ndarray, " r"], *, start: Primitive | None = None
-) -> kinds.Fitted | None:
-    """A guess at the primitive of one kind through the rows, from some of them."""
-    return kinds.fit(kind, ground.points, ground.surface.normal, rows, sample=kinds.FEW, start=start, determined=False)
+def refitted(ground: Ground, kind: str, rows: Int[np.ndarray, " r"], **how: Any) -> kinds.Fitted | None:
+    """A guess at the primitive of one kind through the rows, from some of them; how: as in kinds.fit."""
+    normals = ground.surface.normal
+    return kinds.fit(kind, ground.points, normals, rows, sample=kinds.FEW, determined=False, **how)
 
 
 def evidence_of(ground: Ground, kind: str, rows: Int[np.ndarray, " r"], distance: Float[np.ndarray, " r"]) -> float:

@@ -118,20 +118,20 @@ def pca_normals(
     Args:
         points: positions in any unit.
         k: neighbours per point, at least 3 to be of use; fewer points than k are used where the cloud is smaller.
-        neighbors: those of the points among themselves, if already known; k is then ignored.
+        neighbors: those of the points, or of other places among them, if already known; k is then ignored.
         workers: threads of the search, -1 = all cores.
     """
     points = np.asarray(points, np.float64)
     found = knn(points, points, k=k, workers=workers) if neighbors is None else neighbors
     index, mask = np.asarray(found.index), np.asarray(found.mask)
-    normal, curvature = np.empty((len(points), 3)), np.empty(len(points))
+    normal, curvature = np.empty((len(index), 3)), np.empty(len(index))
 
     def work(start: int) -> None:
         rows = slice(start, start + PCA_CHUNK)
         normal[rows], curvature[rows] = _least_spread(_covariances(points, index[rows], mask[rows]))
 
     with ThreadPoolExecutor(num_cores() if workers < 0 else workers) as pool:
-        list(pool.map(work, range(0, len(points), PCA_CHUNK)))
+        list(pool.map(work, range(0, len(index), PCA_CHUNK)))
     return SurfaceNormals(normal, curvature)
 
 

@@ -1,6 +1,7 @@
 """`jprimfit evaluate` with the six metrics: from the command line to tables and JSON, and what it refuses."""
 
 import json
+import shutil
 from collections import Counter
 
 import jax
@@ -104,6 +105,21 @@ def test_network_refinement_and_geometry_on_the_same_clouds(parts_file, quick, c
     assert scores["noise_percent"] == 1 and scores["ckpt"] == str(ckpt)
 
 
+def test_table_1_sets_networks_beside_geometry_and_ransac(parts_file, quick, ckpt, tmp_path, capsys):
+    goal, other = tmp_path / "scores.json", tmp_path / "other"
+    shutil.copytree(ckpt, other)
+    words = ["--table", "1", "--ckpt", str(ckpt), str(other), "--data", str(parts_file), "--parts", "2"]
+    assert main(["evaluate", *words, "--points", "300", "--json", str(goal)]) == 0
+    methods = json.loads(goal.read_text())["methods"]
+    networks = [f"{one} {answer}" for answer in ("network", "refined") for one in (ckpt, other)]
+    assert list(methods) == [*networks, "geometry", "ransac", "refitted"]
+    first, second = (methods[name]["mean"] for name in networks[:2])
+    assert {name: first[name] for name in SIX} == {name: second[name] for name in SIX}  # they are the same network
+    by_family = capsys.readouterr().out.split("mIoU % / type %")[1]
+    assert by_family.splitlines()[2].split("  ")[0] == methods["geometry"]["parts"][0]["family"]
+    assert f"{100 * methods['geometry']['mean']['miou']:.1f}" in by_family
+
+
 def test_without_data_the_test_set_is_built_once(parts_file, quick, monkeypatch, tmp_path, capsys):
     built = []
 
@@ -152,7 +168,8 @@ def test_the_test_set_needs_what_builds_solids(monkeypatch, tmp_path, capsys):
         (["--no-refine"], "--method geometry has nothing to refine"),
         (["--method", "cpfn"], "--method cpfn is not built yet"),
         (["--method", "magic"], "--method 'magic' is none"),
-        (["--table", "1"], "--table 1 is not built yet"),
+        (["--table", "1"], "--table 1 compares all methods"),
+        (["--table", "timing"], "--table timing is not built yet"),
         (["--protocol", "fit4cad", "--data", "absent.h5"], "absent.h5"),
     ],
 )

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jprimfit.fitting.assignment import MIN_FACE, assign, faces
+from jprimfit.fitting.assignment import MIN_FACE, assign, faces, linked, without_needless
 from jprimfit.fitting.local import describe
 from jprimfit.fitting.merging import Surface
-from jprimfit.types import Plane
+from jprimfit.types import Cylinder, Plane
 
 TOLERANCE = 0.01
 
@@ -80,7 +80,7 @@ def islands(parts):
 def test_a_surface_is_cut_into_its_islands_largest_first(islands):
     points, island = islands
     surface_number = np.where(island == 2, 1, 0)
-    face, surface_of = faces(points, describe(points), surface_number.astype(np.int32))
+    face, surface_of = faces(linked(points, describe(points)), surface_number.astype(np.int32))
     assert face.dtype == surface_of.dtype == np.int32
     np.testing.assert_array_equal(face, np.array([2, 0, 1])[island])
     np.testing.assert_array_equal(surface_of, [0, 1, 0])
@@ -89,7 +89,7 @@ def test_a_surface_is_cut_into_its_islands_largest_first(islands):
 
 def test_touching_faces_of_two_surfaces_stay_two():
     points, _, truth = corner()
-    face, surface_of = faces(points, describe(points), truth)
+    face, surface_of = faces(linked(points, describe(points)), truth)
     np.testing.assert_array_equal(face, truth)
     np.testing.assert_array_equal(surface_of, [0, 1])
 
@@ -102,8 +102,27 @@ def test_specks_and_unassigned_points_are_on_no_face(islands):
     speck = far[np.argsort(np.linalg.norm(points[far] - points[far[:1]], axis=1))[: MIN_FACE - 1]]
     labels[far] = -1
     labels[speck] = 1
-    face, surface_of = faces(points, describe(points), labels)
+    face, surface_of = faces(linked(points, describe(points)), labels)
     np.testing.assert_array_equal(face, np.where(island == 1, 0, -1))
     np.testing.assert_array_equal(surface_of, [0])
-    nothing, of_none = faces(points, describe(points), np.full(len(points), -1, np.int32))
+    nothing, of_none = faces(linked(points, describe(points)), np.full(len(points), -1, np.int32))
     assert (nothing == -1).all() and of_none.shape == (0,)
+
+
+def test_a_surface_made_of_two_others_points_is_given_up_and_a_chamfer_is_not():
+    points, surfaces, truth = corner()
+    described = describe(points, noise=TOLERANCE / 3, spacing=0.1)
+    across, along = np.hypot(points[:, 0], points[:, 2]), np.array([0.0, 1, 0])
+    # A thin cylinder lies along the edge: it holds the points beside it, as both planes do.
+    beside = (across > 0) & (across < 0.15) & (points[:, 1] < 0.8)
+    speck = Surface(np.flatnonzero(beside), Cylinder(along, np.zeros(3), np.float64(0.1)))
+    labels = np.where(beside, 2, truth).astype(np.int32)
+    links = linked(points, described)
+    found = without_needless(points, described, [*surfaces, speck], links, labels, tolerance=TOLERANCE)
+    np.testing.assert_array_equal(found, np.where(beside, -1, truth))
+    # The same points on a chamfer are explained by nothing else.
+    slope, height = np.array([-1.0, 0, 1]) / np.sqrt(2), np.float64(0.15 / np.sqrt(2))
+    points = points + np.outer(np.where(beside, height - points @ slope, 0), slope)
+    chamfer = Surface(np.flatnonzero(beside), Plane(slope, height))
+    found = without_needless(points, described, [*surfaces, chamfer], links, labels, tolerance=TOLERANCE)
+    np.testing.assert_array_equal(found, labels)
