@@ -116,7 +116,7 @@ def shares(events: Iterable[Mapping[str, Any]], scope_of: Mapping[str, str]) -> 
     events: of a Chrome trace; those of operations have args.hlo_op. scope_of: where each operation came from.
     """
     total: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
-    for operation, seconds in _own_times(events):
+    for operation, seconds in own_times(events):
         part, backward = _part(scope_of.get(operation, ""))
         total[part][backward] += seconds
     whole = sum(map(sum, total.values()))
@@ -141,7 +141,7 @@ def text(found: Profile) -> str:
     )
 
 
-def _own_times(events: Iterable[Mapping[str, Any]]) -> list[tuple[str, float]]:
+def own_times(events: Iterable[Mapping[str, Any]]) -> list[tuple[str, float]]:
     """Every operation of a trace and its time without that of the operations inside it."""
     threads: dict[Any, list[Mapping[str, Any]]] = defaultdict(list)
     for event in events:
