@@ -28,6 +28,7 @@ from jprimfit.fitting.regions import (
     refitted,
     window,
 )
+from jprimfit.geometry import host
 from jprimfit.primitives.table import KINDS
 from jprimfit.types import Cone
 
@@ -41,6 +42,9 @@ SIGNIFICANT = 8.0  # nats that another kind must fit the same points better to b
 QUIET = 0.05  # noise per spacing
 MAX_UPRIGHT = np.radians(1.0)  # half-angle of a cone that may be a cylinder
 EXACT = 0.98  # of the points of a patch, and of the evidence for them
+MIN_QUADRIC = 12  # points of a patch whose curvatures are believed
+BENT, ROUND = 0.05, 0.8  # lesser curvature by the larger, beyond which a patch is no cylinder, or a sphere
+SURELY_BENT = 8.0  # times what its quadric leaves over, and the tolerance, that a patch bends from middle to border
 FACET_SEEDS, FACET_POINTS = 7, 16  # places in a curved region where a plane is tried, and points to begin it with
 
 
@@ -204,7 +208,7 @@ def _grow_pass(ground: Ground, open_rows: Bool[np.ndarray, " n"]) -> list[Region
             # The seed and its closest surroundings are given up, not only the seed: they would fail alike.
             seeds[ground.surface.index[seed, :NUM_LINKS]] = False
             within = GIVEN_UP * _seed_radius(ground, float(depth[seed]))
-            seeds[np.square(points - points[seed]).sum(axis=1) <= within * within] = False
+            seeds[_within(ground, seed, within)] = False
             continue
         regions.append(_take(ground, region))
         rows = regions[-1].rows
@@ -220,6 +224,8 @@ def _grow_seed(ground: Ground, seed: int, depth: float) -> Region | None:
     if len(patch) < SEED_POINTS[0]:
         return None
     quiet = is_quiet(ground.surface)
+    if quiet and _bends_both_ways(ground, patch, seed):
+        return None
     best: Region | None = None
     # The likeliest kind first; where nobody knows, the simplest. Under noise the first that grows is taken: evidence
     # of what a small seed became favours the freest kind (competition there cost 2 to 6 points of right types).
@@ -239,6 +245,25 @@ def _grow_seed(ground: Ground, seed: int, depth: float) -> Region | None:
     if not quiet and _is_faceted(ground, region):
         return grow(ground, patch, "plane")
     return region
+
+
+def _bends_both_ways(ground: Ground, patch: np.ndarray, seed: int) -> bool:
+    """Whether a patch of a clean cloud bends both ways, and not as a sphere does: it is part of a torus or free form.
+
+    What the quadric leaves over, terms of third order, is what its curvatures may be wrong by.
+    """
+    if len(patch) < MIN_QUADRIC:
+        return False
+    x, y, z = host.frame_of(ground.surface.normal[seed]) @ (ground.points[patch] - ground.points[seed]).T
+    size = float(np.hypot(x, y).max())
+    x, y = x / size, y / size
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    found = np.linalg.lstsq(design, z, rcond=None)[0]
+    least, most = sorted(np.linalg.eigvalsh([[found[3], found[4] / 2], [found[4] / 2, found[5]]]), key=abs)
+    left = float(np.sqrt(np.square(z - design @ found).mean()))
+    is_round = least * most > 0.0 and abs(least) > ROUND * abs(most)
+    least_bent = max(BENT * abs(most), SURELY_BENT * max(left, ground.tolerance))
+    return bool(abs(least) > least_bent and not is_round)
 
 
 def _outgrown(ground: Ground, region: Region) -> Region:
@@ -286,12 +311,16 @@ def _regrow(ground: Ground, region: Region) -> Region | None:
 
 def _seed_patch(ground: Ground, seed: int, depth: float) -> np.ndarray:
     """Points around the seed that lie no farther than the nearest edge, within the limits of SEED_POINTS."""
-    points, radius = ground.points, _seed_radius(ground, depth)
-    near = np.flatnonzero(~ground.taken & (np.square(points - points[seed]).sum(axis=1) <= radius * radius))
+    near = np.flatnonzero(~ground.taken & _within(ground, seed, _seed_radius(ground, depth)))
     if len(near) >= SEED_POINTS[0]:
         return near
     near = ground.surface.index[seed]
     return np.unique(near[~ground.taken[near]])
+
+
+def _within(ground: Ground, seed: int, radius: float) -> Bool[np.ndarray, " n"]:
+    offset = ground.cloud.coordinates - ground.points[seed][:, None]
+    return np.einsum("cn,cn->n", offset, offset) <= radius * radius
 
 
 def _seed_radius(ground: Ground, depth: float) -> float:

@@ -1,4 +1,4 @@
-"""One training on 1, 2 and 4 devices of a CPU and in 2 processes: same losses, clouds a second, communication: make bench.
+"""One training on 1, 2 and 4 devices of a CPU, and in 2 processes: losses, clouds a second, communication: make bench.
 
 Devices of one CPU share its cores, so the clouds a second show what the sharing itself costs, not what more machines
 would give. Each run is a process of its own, since the number of devices is fixed when JAX starts.
@@ -103,7 +103,8 @@ def test_devices_and_processes():
         sys.stdout.write(
             f"\n{processes} processes of {devices} devices: {TOGETHER} clouds a step {1e3 * alike['seconds']:.0f} ms, "
             f"losses within {apart:.1e} of one device's; {PER_DEVICE} a device {1e3 * growing['seconds']:.0f} ms, "
-            f"{PER_DEVICE * number / growing['seconds']:.1f} clouds/s, communication {100 * growing['communication']:.1f} %"
+            f"{PER_DEVICE * number / growing['seconds']:.1f} clouds/s, "
+            f"communication {100 * growing['communication']:.1f} %"
         )
         assert apart < 1e-2
     sys.stdout.write("\n")

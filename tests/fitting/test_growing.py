@@ -88,6 +88,35 @@ def test_measured_normals_decide_which_surface_a_point_is_on(parts):
     np.testing.assert_array_equal(first.rows, np.flatnonzero(right))
 
 
+def test_seeds_on_a_torus_are_given_up_and_those_of_our_kinds_are_not(parts):
+    grid = np.meshgrid(np.arange(160) * 2 * np.pi / 160, np.arange(60) * 2 * np.pi / 60)
+    around, across = (angle.ravel() for angle in grid)
+    ring = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    torus = (1 + 0.35 * np.cos(across))[:, None] * ring + 0.35 * np.sin(across)[:, None] * np.array([0, 0, 1.0])
+    assert given_up(torus) > 0.7
+    rng = np.random.default_rng(0)
+    for kind in ("cylinder", "cone", "sphere"):
+        assert given_up(one_surface(kind, rng)) == 0
+
+
+def one_surface(kind, rng):
+    """4,000 points on a whole turn of a cylinder or cone, or on a ball."""
+    if kind == "sphere":
+        points = rng.normal(size=(4000, 3))
+        return points / np.linalg.norm(points, axis=1, keepdims=True)
+    height, angle = rng.uniform(0.3, 1.3, 4000), rng.uniform(0, 2 * np.pi, 4000)
+    radius = height / 2 if kind == "cone" else 0.5 + 0 * height
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+
+
+def given_up(points):
+    """Share of seeds, far from any edge, whose curvatures rule out our kinds."""
+    ground = growing._start(points, describe(points), np.zeros(len(points), bool), np.zeros((len(points), 4)))
+    seeds = np.flatnonzero(ground.surface.core)[::40].tolist()
+    deep = 4 * ground.surface.spacing
+    return np.mean([growing._bends_both_ways(ground, growing._seed_patch(ground, seed, deep), seed) for seed in seeds])
+
+
 def test_a_few_points_of_no_surface_give_no_region():
     points = np.random.default_rng(1).normal(size=(7, 3))
     assert grow_regions(points, describe(points)) == []
