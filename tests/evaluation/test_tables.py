@@ -52,6 +52,16 @@ def test_groups_are_means_over_instances():
     assert np.isnan(groups["cylinder"]["mean"]["miou"])
 
 
+def test_families_are_lines_with_the_means_of_every_method():
+    bolts, nuts = [dict(part(miou=value), family="bolt") for value in (0.2, 0.4)], [dict(part(miou=0.9), family="nut")]
+    better = [dict(score, miou=score["miou"] + 0.1, type_accuracy=1.0) for score in bolts + nuts]
+    lines = tables.families_text({"one": bolts + nuts, "two": better}).splitlines()
+    assert lines[0].split() == ["mIoU", "%", "/", "type", "%", "parts", "one", "two"]
+    assert lines[2].split("  ")[0] == "bolt" and lines[2].split()[1] == "2"
+    assert "30.0 ±10.0 / 50.0 ±0.0" in lines[2] and "40.0 ±10.0 / 100.0 ±0.0" in lines[2]
+    assert lines[3].startswith("nut") and "90.0 / 50.0" in lines[3] and "100.0 / 100.0" in lines[3]
+
+
 def test_instances_of_one_part_share_their_fate_in_the_standard_error():
     """Copies of an instance in the same part make the answer no surer, those in parts of their own do."""
     draw = np.random.default_rng(0)
