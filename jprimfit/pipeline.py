@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jprimfit import checks
-from jprimfit.fitting import geometric, refinement
+from jprimfit.fitting import geometric, growing, local, refinement
 from jprimfit.fitting.advice import Advice, advice
 from jprimfit.fitting.assignment import MIN_FACE
 from jprimfit.fitting.given import fit_segments
@@ -186,15 +186,34 @@ def _segmented(
     )
 
     say("refine", 0, 1)
-    nearest = nearest_rows(thinned, cloud)
-    labels = proposal.labels[nearest]
     measured = None if turned is None else turned[kept]
-    if measured is None and proposal.normals is not None:
-        measured = proposal.normals[nearest]
-    # The noise of a smoothed cloud is not that of the scan.
-    noise = known if smooth else proposal.noise
-    found = refinement.refine(cloud, proposal.surfaces, labels, measured, noise=noise, min_points=wanted.min_points)
+    if smooth:  # the raw points are no longer as they were described
+        labels = proposal.labels[nearest_rows(thinned, cloud)]
+        found = refinement.refine(cloud, proposal.surfaces, labels, measured, noise=known, min_points=wanted.min_points)
+    else:
+        found = _refined(cloud, proposal, thinned, measured, ready.neighbors, wanted.min_points)
     return _Answer(found, kept, ready.frame, ready.report)
+
+
+def _refined(
+    cloud: np.ndarray,
+    proposal: geometric.Proposal,
+    thinned: np.ndarray,
+    measured: np.ndarray | None,
+    neighbors: np.ndarray | None,
+    min_points: int,
+) -> refinement.Segmentation:
+    """The proposal on all points; that for a large cloud is improved on the sample first, in a quarter of the time."""
+    surfaces, labels, described = proposal
+    if len(thinned) == len(cloud):
+        return refinement.refine(cloud, surfaces, labels, described=described, min_points=min_points)
+    surfaces, labels = refinement.assigned(thinned, surfaces, labels, described)
+    nearest = nearest_rows(thinned, cloud)
+    if growing.is_quiet(described):
+        described = local.describe(cloud, normals=measured, noise=described.noise, narrow=True)
+    else:
+        described = local.of_all(described, nearest, cloud, normals=measured, index=neighbors)
+    return refinement.refine(cloud, surfaces, labels[nearest], described=described, rounds=1, min_points=min_points)
 
 
 def _refitted(

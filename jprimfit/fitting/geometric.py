@@ -28,8 +28,7 @@ class Proposal(NamedTuple):
 
     surfaces: list[merging.Surface]  # by falling number of points
     labels: Int32[np.ndarray, " n"]  # index into surfaces, -1 = none
-    noise: float  # standard deviation along the normal that the surfaces hold under
-    normals: Float[np.ndarray, "n 3"] | None  # unit, of either sign, that others than the points told; None = nobody
+    described: local.LocalSurface  # the cloud, with the noise that the surfaces hold under
 
 
 def propose(
@@ -61,7 +60,7 @@ def propose(
         labels = np.full(len(points), -1, dtype=np.int32)
         for number, surface in enumerate(surfaces):
             labels[surface.rows] = number
-        return Proposal(surfaces, labels, described.noise, normals)
+        return Proposal(surfaces, labels, local.under_noise(described, described.noise))
 
     found = proposed(described)
     for _ in range(NUM_DOUBLINGS):

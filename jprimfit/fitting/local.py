@@ -66,9 +66,35 @@ def describe(
         wide = host.knn(points, points, k=min(k, len(points)))
         normal = host.pca_normals(points, k=k, neighbors=wide).normal if normals is None else normal
         index = np.asarray(wide.index)
-    core = residual <= max(2.0 * noise, 0.03 * spacing)
     normal = normal if normals is None else normals
-    return LocalSurface(index, normal, residual, core, spacing, noise)
+    return LocalSurface(index, normal, residual, _is_core(residual, spacing, noise), spacing, noise)
+
+
+def under_noise(surface: LocalSurface, noise: float) -> LocalSurface:
+    """The same cloud where its noise turns out to be another."""
+    return surface._replace(noise=noise, core=_is_core(surface.residual, surface.spacing, noise))
+
+
+def of_all(
+    sample: LocalSurface,
+    nearest: Int[np.ndarray, " n"],
+    points: Float[np.ndarray, "n 3"],
+    *,
+    normals: Float[np.ndarray, "n 3"] | None = None,
+    index: Int[np.ndarray, "n k"] | None = None,
+) -> LocalSurface:
+    """All points of a noisy cloud as the nearest ones of a sample were described; neighbours and spacing are their own.
+
+    normals, index: of all points, measured or known; else the sample's, and the QUADRIC_NEIGHBORS nearest.
+    """
+    index = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points))).index if index is None else index
+    spacing = float(np.median(np.sqrt(np.square(points[index[:, 1]] - points).sum(axis=1))))
+    normals = sample.normal[nearest] if normals is None else normals
+    return LocalSurface(index, normals, sample.residual[nearest], sample.core[nearest], spacing, sample.noise)
+
+
+def _is_core(residual: Float[np.ndarray, " n"], spacing: float, noise: float) -> Bool[np.ndarray, " n"]:
+    return residual <= max(2.0 * noise, 0.03 * spacing)
 
 
 def _spacing(points: Float[np.ndarray, "n 3"], distance: Float[np.ndarray, "n k"]) -> float:

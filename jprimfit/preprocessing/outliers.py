@@ -10,7 +10,7 @@ filter, "auto" applies it only where it finds isolated points. All in float64 on
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Num
+from jaxtyping import Bool, Float64, Int32, Num
 
 from jprimfit.geometry import host
 
@@ -26,10 +26,11 @@ MAX_PASSES = 2
 
 
 class NeighborDistances(NamedTuple):
-    """How far the surroundings of each of n points lie."""
+    """How far the surroundings of each of n points lie, and who they are."""
 
     mean: Float64[np.ndarray, "n"]  # mean distance to the K nearest, the point itself (0) included, input unit
     isolation: Float64[np.ndarray, "n"]  # mean over the lower quartile of the neighbours' means; about 1 in a surface
+    index: Int32[np.ndarray, "n k"]  # the neighbours, by distance
 
 
 class Outliers(NamedTuple):
@@ -38,6 +39,7 @@ class Outliers(NamedTuple):
     keep: Bool[np.ndarray, "n"]
     thresholds: tuple[float, ...]  # the largest mean distance kept, one per pass; empty if the filter did not run
     isolated_share: float  # share of isolated points in the whole cloud, 0 to 1
+    neighbors: Int32[np.ndarray, "n k"] | None = None  # by distance, the point first, where all have k and are kept
 
 
 def neighbor_distances(points: Num[np.ndarray, "n 3"], *, k: int = 16) -> NeighborDistances:
@@ -47,7 +49,8 @@ def neighbor_distances(points: Num[np.ndarray, "n 3"], *, k: int = 16) -> Neighb
     mean = np.sqrt(np.asarray(neighbors.sq_distance)).sum(axis=1, where=neighbors.mask) / count
     place = neighbors.index.shape[1] // 4
     quartile = np.partition(mean[neighbors.index], place, axis=1)[:, place]
-    return NeighborDistances(mean, np.divide(mean, quartile, out=np.ones_like(mean), where=quartile > 0.0))
+    isolation = np.divide(mean, quartile, out=np.ones_like(mean), where=quartile > 0.0)
+    return NeighborDistances(mean, isolation, np.asarray(neighbors.index))
 
 
 def statistical_threshold(mean_distance: Float64[np.ndarray, "n"], *, deviations: float = 2.0) -> float:
@@ -81,10 +84,10 @@ def find_outliers(
     passes = {"auto": MAX_PASSES, "on": 1, "off": 0}
     if mode not in passes:
         raise ValueError(f"filter is {mode!r}, but there are only 'auto', 'on' and 'off': give one of them.")
-    keep, thresholds, first_share = np.ones(len(points), bool), [], 0.0
+    keep, thresholds, first_share, neighbors = np.ones(len(points), bool), [], 0.0, None
     for number in range(passes[mode]):
         rows = np.flatnonzero(keep)
-        mean, isolation = neighbor_distances(points[rows], k=k)
+        mean, isolation, neighbors = neighbor_distances(points[rows], k=k)
         share = float((isolation > ISOLATION).mean())
         first_share = first_share if number else share
         if mode == "auto" and share < ISOLATED_SHARE:
@@ -94,4 +97,6 @@ def find_outliers(
             threshold = max(threshold, MEDIAN_FACTOR * float(np.median(mean)))
         keep[rows[mean >= threshold]] = False
         thresholds.append(threshold)
-    return Outliers(keep, tuple(thresholds), first_share)
+    if not keep.all() or len(points) < k:
+        neighbors = None
+    return Outliers(keep, tuple(thresholds), first_share, neighbors)

@@ -29,6 +29,7 @@ class Preprocessed(NamedTuple):
     index: Int32[np.ndarray, "m"]  # points[j] comes from row index[j] of the input
     removed: Int32[np.ndarray, "r"]  # rows of the input removed as outliers, ascending
     report: dict[str, Any]  # what each step did, ready for JSON
+    neighbors: Int32[np.ndarray, "n k"] | None  # of every point by distance, itself first, where they came to be known
 
 
 def preprocess(
@@ -80,7 +81,7 @@ def preprocess(
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
     }
     removed = np.flatnonzero(~outliers.keep).astype(np.int32)
-    return Preprocessed(normalised[rows], frame, kept[rows].astype(np.int32), removed, report)
+    return Preprocessed(normalised[rows], frame, kept[rows].astype(np.int32), removed, report, outliers.neighbors)
 
 
 def nearest_rows(from_points: Num[np.ndarray, "m 3"], to_points: Num[np.ndarray, "n 3"]) -> Int32[np.ndarray, " n"]:
