@@ -87,9 +87,9 @@ class Scene:
     @cached_property
     def patches(self) -> "tuple[Patch, ...]":
         """Each primitive trimmed to its points, as a triangle mesh; computed when first asked for."""
-        from jprimfit.cad.patches import patch
+        from jprimfit.cad.patches import of_faces
 
-        return tuple(patch(p, self.points[rows]) for p, rows in zip(self.primitives, self.rows_of, strict=True))
+        return of_faces(self.primitives, self.points, self.labels)
 
     @cached_property
     def features(self) -> tuple[Feature, ...]:

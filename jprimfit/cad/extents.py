@@ -1,14 +1,15 @@
 """How far primitives reach: length, width, end radii, arc, solid angle and outline of the surface that was seen.
 
-Lengths and arcs come from the points themselves. The outermost of n random points lies a gap short of the end, under
-noise beyond it: `ends` corrects both by counting, since noise carries no point away. Areas and outlines come from the
-trimmed patch (patches.py). Points beyond the patch, strays on the surface's continuation, do not count.
+Lengths end on edges where the patch does (edges.py), else, as arcs do, where the points do. The outermost of n random
+points lies a gap short of the end, under noise beyond it: `ends` corrects both by counting, since noise carries no
+point away. Areas and outlines come from the trimmed patch (patches.py). Points beyond the patch, strays on the
+surface's continuation, do not count.
 """
 
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from jprimfit.cad import charts, outlines, patches
@@ -30,6 +31,7 @@ ROUGH = 1.5  # edges of the patch by which a corner of a boundary may lie off a 
 NUM_WAVES = 8  # per turn: what a boundary is searched for that is no circle
 ROUND = 0.02  # root mean square of those, in radii: a hexagon has 0.04, an ellipse of 0.95 has 0.02
 NARROW = 0.05  # of the largest radius of a cone: within it angles say little
+SURE = 0.9  # of the corners of a flat face that lie on edges: then they and not its points make the rectangle
 OUTLINE_TOLERANCE = 0.8  # in edges of the patch, as in a STEP file
 
 
@@ -50,10 +52,10 @@ def extents(primitive: Primitive, points: Float[np.ndarray, "n 3"], patch: Patch
         return {"position": center, "area": area, "solid_angle": min(area / radius**2, 4 * np.pi) if area else None}
     if isinstance(primitive, Plane):
         loops = outline(primitive, patch)
-        found = _disc(loops) or _box(primitive, feet, blur)
+        found = _disc(loops) or _box(primitive, feet, blur, patch)
         most = found["length"] * found["width"] if len(feet) else np.inf
         return {"outline": loops, **found, "area": min(area, most)}
-    found = _reach(primitive, feet, spacing, blur)
+    found = _reach(primitive, feet, spacing, blur, patch)
     # A piece cut straight fills its rectangle of arc and length, nothing fills more.
     most = found["arc"] * np.hypot(np.diff(found["end_radii"])[0], found["length"]) if len(feet) else np.inf
     return {**found, "area": min(area, float(most * np.mean(found.get("end_radii", 1.0))))}
@@ -62,11 +64,14 @@ def extents(primitive: Primitive, points: Float[np.ndarray, "n 3"], patch: Patch
 def surface_area(patch: Patch, num_points: int, spacing: float) -> float:
     """Area of a patch, its rim as wide as an even sample of so many points needs it; squared length.
 
-    The rim stands for the spacing s = sqrt(area / n) / 2. On strips of a few spacings the spacing that the patch was
-    made with (`spacing`) is too large, as neighbours lie in a row: what the boundary gained by that is taken off again.
+    Edges with another face are where they are. Elsewhere the rim stands for the spacing s = sqrt(area / n) / 2. On
+    strips of a few spacings the spacing that the patch was made with (`spacing`) is too large, as neighbours lie in a
+    row: what the boundary gained by that is taken off again.
     """
     area = patches.area(patch)
     edges = patches.boundary_edges(patch)
+    if patch.edge is not None:
+        edges = edges[(patch.edge[edges] < 0).any(axis=1)]
     if len(edges) == 0 or num_points == 0:
         return area
     boundary = float(np.sum(np.sqrt(np.sum((patch.vertices[edges[:, 0]] - patch.vertices[edges[:, 1]]) ** 2, axis=1))))
@@ -113,6 +118,24 @@ def _end(ordered: Float64[np.ndarray, "n"], blur: float, tapered: bool) -> float
     if blur < gap:
         return float(ordered[last] + gap)
     return float(min(place + (depth + 1) * gap, ordered[last] + MOST_GAPS * gap))
+
+
+def _sure(patch: Patch) -> Bool[np.ndarray, " v"]:
+    """The vertices that the surface certainly reaches: inside the patch, or on its edge with another face."""
+    sure = np.ones(len(patch.vertices), bool)
+    sure[patches.boundary_edges(patch)] = False
+    return sure if patch.edge is None else sure | (patch.edge >= 0)
+
+
+def _settled(found: tuple[float, float], values: Float64[np.ndarray, " v"], sure: Bool[np.ndarray, " v"]):
+    """The ends of the patch in the place of those found, where it is sure of them; values: of its vertices."""
+    if not len(values):
+        return found
+    first, last = int(np.argmin(values)), int(np.argmax(values))
+    return (
+        float(values[first]) if sure[first] else found[0],
+        float(values[last]) if sure[last] else found[1],
+    )
 
 
 def turn(angles: Float[np.ndarray, "n"], *, gap: float, blur: float) -> float:
@@ -178,14 +201,18 @@ def _seen(feet: Float64[np.ndarray, "n 3"], patch: Patch) -> Float64[np.ndarray,
     return feet[np.isfinite(distance)]
 
 
-def _box(plane: Plane, feet: Float64[np.ndarray, "n 3"], blur: float) -> dict[str, Any]:
+def _box(plane: Plane, feet: Float64[np.ndarray, "n 3"], blur: float, patch: Patch | None = None) -> dict[str, Any]:
     """Middle, length and width of the rectangle of least area around all points; a side of it lies on their hull."""
     normal = np.asarray(plane.normal, np.float64)
     if len(feet) == 0:
         return {"position": float(plane.offset) * normal}
     axes, origin = charts.frame(normal), feet.mean(axis=0)
     flat = (feet - origin[None, :]) @ axes[:2].T
-    corners = _hull(flat)
+    corners = flat[_hull(flat)]
+    if patch is not None and len(patch.faces):
+        vertices, sure = (patch.vertices - origin[None, :]) @ axes[:2].T, _sure(patch)
+        rows = _hull(vertices)
+        corners = vertices[rows] if sure[rows].mean() >= SURE else corners
     sides = np.roll(corners, -1, axis=0) - corners
     angles = np.unique(np.mod(np.arctan2(sides[:, 1], sides[:, 0]), np.pi / 2))
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -198,20 +225,25 @@ def _box(plane: Plane, feet: Float64[np.ndarray, "n 3"], blur: float) -> dict[st
     least = size <= np.where(near, size[None, :], np.inf).min(axis=1)
     best = int(np.argmax(np.where(least & (size <= SAME_BOX * size.min()), sides.max(axis=1), -1.0)))
     turned = np.array([[np.cos(angles[best]), np.sin(angles[best])], [-np.sin(angles[best]), np.cos(angles[best])]])
-    low, high = np.array([ends(values, blur=blur, tapered=True) for values in turned @ flat.T]).T
+    reached = [ends(values, blur=blur, tapered=True) for values in turned @ flat.T]
+    if patch is not None and len(patch.faces):
+        reached = [_settled(found, values, sure) for found, values in zip(reached, turned @ vertices.T, strict=True)]
+    low, high = np.array(reached).T
     width, length = sorted((high - low).tolist())
     return {"position": origin + ((low + high) / 2 @ turned) @ axes[:2], "length": length, "width": width}
 
 
-def _hull(flat: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "h 2"]:
-    """Corners of the convex hull in order; the points themselves where they have none."""
+def _hull(flat: Float64[np.ndarray, "n 2"]) -> Int[np.ndarray, " h"]:
+    """Rows of the corners of the convex hull in order; all rows where there is none."""
     try:
-        return flat[ConvexHull(flat).vertices]
+        return ConvexHull(flat).vertices
     except (QhullError, ValueError):  # fewer than three points, or all on one line
-        return flat
+        return np.arange(len(flat))
 
 
-def _reach(primitive: Cylinder | Cone, feet: Float64[np.ndarray, "n 3"], spacing: float, blur: float) -> dict[str, Any]:
+def _reach(
+    primitive: Cylinder | Cone, feet: Float64[np.ndarray, "n 3"], spacing: float, blur: float, patch: Patch
+) -> dict[str, Any]:
     """Ends, the radii there, the length between them and the arc of a cylinder or cone."""
     is_cone = isinstance(primitive, Cone)
     origin = np.asarray(primitive.apex if is_cone else primitive.center, np.float64)
@@ -220,6 +252,7 @@ def _reach(primitive: Cylinder | Cone, feet: Float64[np.ndarray, "n 3"], spacing
     axes = charts.frame(np.asarray(primitive.axis))
     local = (feet - origin[None, :]) @ axes.T
     low, high = _ends_of_cone(local[:, 2], blur) if is_cone else ends(local[:, 2], blur=blur)
+    low, high = _settled((low, high), (patch.vertices - origin[None, :]) @ axes[2], _sure(patch))
     slope = float(np.tan(float(primitive.half_angle))) if is_cone else 0.0
     radii = (low * slope, high * slope) if is_cone else (float(primitive.radius),) * 2
     distance = np.hypot(local[:, 0], local[:, 1])

@@ -4,18 +4,20 @@ Occupancy is measured on the surface itself, so that nothing has a seam: every v
 (cad/charts.py) knows its distance to the nearest point. The part nearer than a reach R is what discs around the
 points cover; taking a rim of R minus a little off again is the morphological closing of E. Matheron's school: gaps
 between samples close, holes in which a disc of radius R fits stay open, edges come back to where the points end. The
-boundary is a level line through the triangles (marching triangles), hence no staircase. Host code, float64.
+boundary is a level line through the triangles (marching triangles), hence no staircase. Where another face begins the
+surfaces' intersection is the boundary (cad/edges.py). Host code, float64.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Bool, Float, Float64, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from jprimfit.cad import charts
+from jprimfit.cad import charts, edges
 from jprimfit.types import Primitive
 
 CELL = 2.0  # edge length of a cell of occupancy, in spacings
@@ -36,6 +38,7 @@ class Patch(NamedTuple):
     vertices: Float64[np.ndarray, "v 3"]  # on the primitive, to rounding
     faces: Int[np.ndarray, "f 3"]  # int32, counter-clockwise seen from where the normals point to
     normals: Float64[np.ndarray, "v 3"]  # unit: the plane's own, or away from centre or axis
+    edge: Int[np.ndarray, " v"] | None = None  # which of the surfaces that cut it, -1 = none; None = none does
 
 
 def patch(
@@ -44,6 +47,8 @@ def patch(
     *,
     spacing: float | None = None,
     max_vertices: int = MAX_VERTICES,
+    number: int = -1,
+    around: edges.Beside | None = None,
 ) -> Patch:
     """The surface of a primitive where points of its segment lie.
 
@@ -57,6 +62,8 @@ def patch(
         spacing: median distance of a point to its nearest neighbour, length. Default: measured on this segment from
             the distance to the 8th neighbour, which line scans, grids and repeated points do not mislead.
         max_vertices: of the mesh that is trimmed; where cells of two spacings would need more, they are enlarged.
+        number: of this face among those of around.
+        around: the points beside edges, where other faces cut this one.
     """
     points = np.asarray(points, np.float64)
     points = points[np.isfinite(points).all(axis=1)]
@@ -78,9 +85,26 @@ def patch(
             break
         cell *= 1.2
     field = _closing(surface, tree, reach=reach, rim=RIM * CELL * spacing)
+    by = edges.cut(number, feet, around, within=reach)
+    if by is not None:
+        blur = float(np.sqrt(np.mean(np.sum((points - feet) ** 2, axis=1))))
+        field = edges.bounded(field, surface.vertices, by, beyond=cell + edges.MOST_BLUR * blur)
     cut = _without_specks(_clipped(surface, field), smallest=8 * spacing**2)
     vertices = charts.feet(primitive, cut.vertices)
-    return Patch(vertices, cut.faces, charts.normals(primitive, vertices))
+    found = Patch(vertices, cut.faces, charts.normals(primitive, vertices))
+    return found if by is None else _sharpened(primitive, found, by, cell=cell)
+
+
+def of_faces(
+    primitives: Sequence[Primitive], points: Float[np.ndarray, "n 3"], labels: Int[np.ndarray, " n"]
+) -> tuple[Patch, ...]:
+    """The patch of every face of a cloud, trimmed to its points and by the faces around it; labels: -1 = none."""
+    points = np.asarray(points, np.float64)
+    around = edges.beside(primitives, points, labels)
+    return tuple(
+        patch(primitive, points[labels == number], number=number, around=around)
+        for number, primitive in enumerate(primitives)
+    )
 
 
 def area(patch: Patch) -> float:
@@ -110,17 +134,17 @@ def components(patch: Patch) -> list[Patch]:
     pieces = []
     for label in np.argsort(-areas, kind="stable"):
         vertices, faces, rows = _compact(patch.vertices, patch.faces[labels == label])
-        pieces.append(Patch(vertices, faces, patch.normals[rows]))
+        pieces.append(Patch(vertices, faces, patch.normals[rows], None if patch.edge is None else patch.edge[rows]))
     return pieces
 
 
 def boundary_edges(patch: Patch) -> Int[np.ndarray, "e 2"]:
     """The directed edges of one face only, the surface on their left seen from where the normals point to."""
     start = patch.faces.astype(np.int64)
-    edges = np.stack([start, np.roll(start, -1, axis=1)], axis=2).reshape(-1, 2)
-    low, high = edges.min(axis=1), edges.max(axis=1)
+    pairs = np.stack([start, np.roll(start, -1, axis=1)], axis=2).reshape(-1, 2)
+    low, high = pairs.min(axis=1), pairs.max(axis=1)
     _, inverse, count = np.unique(low * len(patch.vertices) + high, return_inverse=True, return_counts=True)
-    return edges[count[inverse.ravel()] == 1]
+    return pairs[count[inverse.ravel()] == 1]
 
 
 def boundary_loops(patch: Patch) -> list[Int[np.ndarray, "k"]]:
@@ -156,15 +180,46 @@ def boundary_loops(patch: Patch) -> list[Int[np.ndarray, "k"]]:
     return loops
 
 
+def _sharpened(primitive: Primitive, found: Patch, by: edges.Cut, *, cell: float) -> Patch:
+    """The patch with its boundary on the intersections, and corners where two of them meet."""
+    boundary = boundary_edges(found)
+    rim = np.zeros(len(found.vertices), bool)
+    rim[boundary] = True
+    vertices, edge = edges.sharpened(primitive, found.vertices, rim, by, cell=cell)
+    while (folded := _folded(vertices, found) & (edge[found.faces] >= 0).any(axis=1)).any():
+        rows = np.unique(found.faces[folded])
+        vertices[rows], edge[rows] = found.vertices[rows], -1
+    faces = found.faces
+    one, two = edge[boundary].T
+    for first, second in np.unique(np.sort(edge[boundary[(one >= 0) & (two >= 0) & (one != two)]], axis=1), axis=0):
+        rows = boundary[(np.sort(edge[boundary], axis=1) == [first, second]).all(axis=1)]
+        surfaces = (primitive, by.surfaces[first], by.surfaces[second])
+        corner, is_there = edges.intersection(surfaces, vertices[rows].mean(axis=1), within=cell)
+        a, b = vertices[rows[:, 0]], vertices[rows[:, 1]]
+        turn = np.sum(np.cross(a - b, corner - b) * found.normals[rows[:, 0]], axis=1)
+        is_there &= turn > 0  # a corner that the triangles enclose already would fold them
+        new = len(vertices) + np.arange(is_there.sum())
+        faces = np.concatenate([faces, np.column_stack([rows[is_there][:, ::-1], new]).astype(np.int32)])
+        vertices = np.concatenate([vertices, corner[is_there]])
+        edge = np.concatenate([edge, np.full(len(new), first)])
+    return Patch(vertices, faces, charts.normals(primitive, vertices), edge)
+
+
+def _folded(vertices: Float64[np.ndarray, "v 3"], before: Patch) -> Bool[np.ndarray, " f"]:
+    """The faces that turn over where the vertices are moved."""
+    a, b, c = (vertices[before.faces[:, i]] for i in range(3))
+    return np.sum(np.cross(b - a, c - a) * before.normals[before.faces].sum(axis=1), axis=1) < 0
+
+
 def _closing(surface: charts.Mesh, tree: KDTree, *, reach: float, rim: float) -> Float64[np.ndarray, "v"]:
     """A function of the vertices that is positive inside the closed patch, about a length, zero on its boundary."""
-    edges = charts.edges(surface.faces)[0]
-    ends = surface.vertices[edges]
+    pairs = charts.edges(surface.faces)[0]
+    ends = surface.vertices[pairs]
     longest = float(np.sqrt(np.max(np.sum((ends[:, 0] - ends[:, 1]) ** 2, axis=1))))
     # Beyond the reach and an edge no exact distance is needed: the search gives up early and says infinity.
     distance = tree.query(surface.vertices, distance_upper_bound=reach + 2 * longest)[0]
     inside = distance < reach
-    crossing = edges[inside[edges[:, 0]] != inside[edges[:, 1]]]
+    crossing = pairs[inside[pairs[:, 0]] != inside[pairs[:, 1]]]
     sign = np.where(inside, 1.0, -1.0)
     if len(crossing) == 0:
         return sign * reach
@@ -178,12 +233,12 @@ def _closing(surface: charts.Mesh, tree: KDTree, *, reach: float, rim: float) ->
 def _clipped(surface: charts.Mesh, field: Float64[np.ndarray, "v"]) -> charts.Mesh:
     """The part of the mesh where the linearly interpolated field is positive."""
     inside = field > 0
-    edges, of_face = charts.edges(surface.faces)
-    cut = inside[edges[:, 0]] != inside[edges[:, 1]]
-    start, end = field[edges[cut]].T
+    pairs, of_face = charts.edges(surface.faces)
+    cut = inside[pairs[:, 0]] != inside[pairs[:, 1]]
+    start, end = field[pairs[cut]].T
     share = np.clip(start / (start - end), CUT, 1 - CUT)[:, None]
-    added = (1 - share) * surface.vertices[edges[cut, 0]] + share * surface.vertices[edges[cut, 1]]
-    row = np.full(len(edges), -1)
+    added = (1 - share) * surface.vertices[pairs[cut, 0]] + share * surface.vertices[pairs[cut, 1]]
+    row = np.full(len(pairs), -1)
     row[cut] = len(surface.vertices) + np.arange(cut.sum())
     state = inside[surface.faces]
     num_inside = state.sum(axis=1)

@@ -61,7 +61,7 @@ def compare(part, errors, sides, *, num_points, noise, min_points, show=0.05):
     points = cloud.points + noise * np.random.default_rng(0).standard_normal(cloud.points.shape)
     rows_of = [np.flatnonzero(cloud.labels == i) for i in range(len(part.primitives))]
     begin = time.perf_counter()
-    trimmed = [patches.patch(p, points[rows]) for p, rows in zip(part.primitives, rows_of, strict=True)]
+    trimmed = patches.of_faces(part.primitives, points, cloud.labels)
     between = time.perf_counter()
     found = features(part.primitives, points, rows_of, trimmed)
     end = time.perf_counter()
