@@ -21,7 +21,7 @@ STEPS = 4
 PER_DEVICE = 4  # clouds of a device where the batch grows with the devices
 TOGETHER = 8  # clouds of all devices where it does not
 # Devices of each process, processes.
-RUNS = [(1, 1), (2, 1), (4, 1), (1, 2), (2, 2)]
+RUNS = [(1, 1), (2, 1), (4, 1), (1, 2)]
 
 
 def work(batch_size, number, processes, address):
@@ -34,7 +34,9 @@ def work(batch_size, number, processes, address):
     from jprimfit.training import parallel, profile, state, step
     from jprimfit.training.sources import open_sources
 
-    if processes > 1:
+    if processes > 1:  # each on a core of its own, as on a machine of its own
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
         parallel.initialise_distributed(address, processes, number)
     config = configs.read(ROOT / "configs" / "tiny.yaml", [f"train.batch_size={batch_size}"])
     sources = open_sources(config)
@@ -98,15 +100,15 @@ def test_devices_and_processes():
         number = devices * processes
         alike = answer_of(devices, processes, TOGETHER)
         first = first or alike["losses"]
-        apart = max(abs(a - b) / b for a, b in zip(alike["losses"], first, strict=True))
+        apart = [abs(a - b) / b for a, b in zip(alike["losses"], first, strict=True)]
         growing = answer_of(devices, processes, PER_DEVICE * number)
         sys.stdout.write(
             f"\n{processes} processes of {devices} devices: {TOGETHER} clouds a step {1e3 * alike['seconds']:.0f} ms, "
-            f"losses within {apart:.1e} of one device's; {PER_DEVICE} a device {1e3 * growing['seconds']:.0f} ms, "
+            f"losses within {apart[0]:.1e} of one device's, {max(apart):.1e} in {len(apart)} steps; {PER_DEVICE} a device {1e3 * growing['seconds']:.0f} ms, "
             f"{PER_DEVICE * number / growing['seconds']:.1f} clouds/s, "
             f"communication {100 * growing['communication']:.1f} %"
         )
-        assert apart < 1e-2
+        assert apart[0] < 1e-5 and max(apart) < 1e-2
     sys.stdout.write("\n")
 
 
