@@ -1,9 +1,10 @@
 """Where the faces around a face cut its surface: edges of a part are intersections of surfaces, not where points end.
 
-The points next to another face tell which face that is (the nearest one's) and on which side of its surface this face
-lies. There the signed distance to that surface takes the place of what the points say of the boundary (patches.py),
-within bounds, and vertices on the boundary are moved onto the intersection. Faces that meet smoothly, such as a fillet
-and a plane, have none that could be told: their boundary stays where the points end. Host code, float64. v vertices.
+The points next to another face tell which face that is and on which side of its surface this face lies. There the
+signed distance to that surface takes the place of what the points say of the boundary (patches.py), within bounds, and
+vertices on the boundary are moved onto the intersection. Faces that meet smoothly, such as a fillet and a plane, have
+none that could be told, and points of no surface have none: there the boundary stays where the points end.
+Host code, float64. v vertices.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,8 @@ from scipy.spatial import KDTree
 from jprimfit.cad import charts
 from jprimfit.types import Primitive
 
-NUM_AROUND = 8  # neighbours of which one lies on another face: the point is beside an edge
+NUM_AROUND = 8  # nearest points, the point included, of which one lies on another face: the point is beside an edge
+NUM_ALIKE = 4  # of them on no face, from which on that is a place without a surface and not a stray point
 ONE_SIDE = 0.8  # of a face's points near another one that lie on one side of its surface
 STEEP = 0.25  # distance from the other surface over that from its points: sine of the angle at which the two meet
 NEWTON_STEPS = 4
@@ -34,23 +36,25 @@ class Beside(NamedTuple):
 class Cut(NamedTuple):
     """The surfaces that cut a face, c of them."""
 
-    faces: Int[np.ndarray, " c"]
     surfaces: tuple[Primitive, ...]
     trees: tuple[KDTree, ...]  # of the points of each that lie beside edges
     side: Int[np.ndarray, " c"]  # of each surface, on which the face lies: -1 or 1
     both: Bool[np.ndarray, "c c"]  # where two are near, the face lies on that side of both: it has a corner there
+    rest: KDTree | None  # points of other faces, which cut nothing
     within: float  # length from its points up to which a surface counts
 
     def nearest(self, places: Float[np.ndarray, "v 3"]) -> tuple[Float64[np.ndarray, " v"], Int[np.ndarray, " v"]]:
         """Signed distance of each place to the surface that cuts there, positive on the face's side, and which it is.
 
-        NaN and -1 where none is near.
+        NaN and -1 where none is near, or what cuts nothing is nearer.
         """
         distance = np.stack([_distance(tree, places, self.within) for tree in self.trees])
         height = np.full(distance.shape, np.inf)
         for number, (surface, side) in enumerate(zip(self.surfaces, self.side.tolist(), strict=True)):
             rows = np.isfinite(distance[number])
             height[number, rows] = side * charts.signed_distances(surface, places[rows])
+        if self.rest is not None:
+            height[:, _distance(self.rest, places, self.within) < distance.min(axis=0)] = np.inf
         first = distance.argmin(axis=0)
         height[~self.both[first].T] = np.inf
         cutting = height.argmin(axis=0)
@@ -68,7 +72,8 @@ def beside(
         return None
     points, labels = np.asarray(points[rows], np.float64), labels[rows]
     around = KDTree(points).query(points, k=NUM_AROUND, workers=-1)[1]
-    rim = (labels[around] != labels[:, None]).any(axis=1)
+    alike = (labels[around] == labels[:, None]).sum(axis=1)
+    rim = (alike < NUM_AROUND) & ((labels >= 0) | (alike >= NUM_ALIKE))
     return Beside(points[rim], labels[rim], primitives)
 
 
@@ -97,7 +102,9 @@ def cut(number: int, feet: Float64[np.ndarray, "n 3"], around: Beside | None, *,
     near, inside = near[used].astype(float), inside[used].astype(float)
     both = inside @ inside.T >= ONE_SIDE * (near @ near.T)
     surfaces = tuple(around.primitives[faces[one]] for one in used)
-    return Cut(faces[used], surfaces, tuple(trees[one] for one in used), side[used], both, within)
+    others = points[~np.isin(face, faces[used])]
+    rest = KDTree(others) if len(others) else None
+    return Cut(surfaces, tuple(trees[one] for one in used), side[used], both, rest, within)
 
 
 def _distance(tree: KDTree, places: Float[np.ndarray, "v 3"], within: float) -> Float64[np.ndarray, " v"]:

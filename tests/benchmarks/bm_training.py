@@ -104,7 +104,8 @@ def test_devices_and_processes():
         growing = answer_of(devices, processes, PER_DEVICE * number)
         sys.stdout.write(
             f"\n{processes} processes of {devices} devices: {TOGETHER} clouds a step {1e3 * alike['seconds']:.0f} ms, "
-            f"losses within {apart[0]:.1e} of one device's, {max(apart):.1e} in {len(apart)} steps; {PER_DEVICE} a device {1e3 * growing['seconds']:.0f} ms, "
+            f"losses within {apart[0]:.1e} of one device's, {max(apart):.1e} in {len(apart)} steps; "
+            f"{PER_DEVICE} a device {1e3 * growing['seconds']:.0f} ms, "
             f"{PER_DEVICE * number / growing['seconds']:.1f} clouds/s, "
             f"communication {100 * growing['communication']:.1f} %"
         )
