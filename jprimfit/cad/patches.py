@@ -24,6 +24,8 @@ CELL = 2.0  # edge length of a cell of occupancy, in spacings
 # In a random sample of 10^4 points a disc of 4 spacings stays empty in two places, one of 5 in none.
 REACH = 2.5  # R in cells
 PITCH = 1.2  # edge length of the mesh, in cells
+NARROW = 1.5  # median distances of a face's points to its edges: longest edge of the mesh, so that no strip is missed
+FINEST = 0.2  # cells, shortest
 RIM = 0.5  # how far the patch may reach beyond its outermost points, in cells: makes areas unbiased
 MAX_VERTICES = 60_000  # of the mesh around one segment; coarser cells beyond that
 MAX_SAMPLES = 4_096  # points whose spacing is measured
@@ -78,14 +80,16 @@ def patch(
         return _empty()
     # A random sample of n points needs 0.8 n vertices at this pitch: larger cells at once where that is too many.
     cell = CELL * spacing * max(1.0, np.sqrt(0.8 * len(feet) / max_vertices))
+    by = edges.cut(number, feet, around, within=REACH * cell)
+    half_width = np.inf if by is None else float(np.median(np.nan_to_num(by.nearest(feet)[0], nan=np.inf)))
     while True:
-        pitch, reach = PITCH * cell, REACH * cell
+        reach = REACH * cell
+        pitch = min(PITCH * cell, max(NARROW * half_width, FINEST * cell))
         surface = charts.mesh(primitive, feet, pitch=pitch, border=reach + 2 * pitch, max_vertices=max_vertices)
         if surface is not None:
             break
         cell *= 1.2
     field = _closing(surface, tree, reach=reach, rim=RIM * CELL * spacing)
-    by = edges.cut(number, feet, around, within=reach)
     if by is not None:
         blur = float(np.sqrt(np.mean(np.sum((points - feet) ** 2, axis=1))))
         field = edges.bounded(field, surface.vertices, by, beyond=cell + edges.MOST_BLUR * blur)

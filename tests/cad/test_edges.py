@@ -106,3 +106,21 @@ def test_places_that_no_intersection_is_near_stay_away():
     moved, there = edges.intersection((Plane(Z, np.float64(0)), Plane(X, np.float64(2))), places, within=0.5)
     np.testing.assert_array_equal(there, np.hypot(places[:, 2], places[:, 0] - 2) <= 0.5)
     np.testing.assert_allclose(moved[:, 1], places[:, 1])
+
+
+def test_a_strip_narrower_than_the_cells_is_not_missed():
+    # A ring between two cylinders, as wide as the spacing of its few points.
+    rng = np.random.default_rng(6)
+    turn = rng.uniform(0, 2 * np.pi, 2_300)
+    radius = np.concatenate([np.sqrt(rng.uniform(0.98**2, 1, 300)), np.ones(1_000), np.full(1_000, 0.98)])
+    height = np.concatenate([np.zeros(300), rng.uniform(-0.15, 0, 1_000), rng.uniform(0, 0.15, 1_000)])
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    labels = np.repeat(np.arange(3, dtype=np.int32), [300, 1_000, 1_000])
+    surfaces = (
+        Plane(Z, np.float64(0)),
+        Cylinder(Z, np.zeros(3), np.float64(1)),
+        Cylinder(Z, np.zeros(3), np.float64(0.98)),
+    )
+    ring = patches.of_faces(surfaces, points, labels)[0]
+    assert patches.area(ring) == pytest.approx(np.pi * (1 - 0.98**2), rel=0.01)
+    assert len(patches.boundary_loops(ring)) == 2
