@@ -92,7 +92,7 @@ def cut(number: int, feet: Float64[np.ndarray, "n 3"], around: Beside | None, *,
     near = np.isfinite(distance)
     height = np.zeros(near.shape)
     for number, other in enumerate(faces):
-        height[number, near[number]] = charts.signed_distances(around.primitives[other], feet[near[number]])
+        height[number, near[number]] = charts.signed_distances(around.primitives[int(other)], feet[near[number]])
     side = np.where(height.sum(axis=1) > 0, 1, -1)
     inside = height * side[:, None] > 0
     steep = np.abs(height).sum(axis=1) >= STEEP * np.where(near, distance, 0.0).sum(axis=1)
@@ -101,7 +101,7 @@ def cut(number: int, feet: Float64[np.ndarray, "n 3"], around: Beside | None, *,
         return None
     near, inside = near[used].astype(float), inside[used].astype(float)
     both = inside @ inside.T >= ONE_SIDE * (near @ near.T)
-    surfaces = tuple(around.primitives[faces[one]] for one in used)
+    surfaces = tuple(around.primitives[int(other)] for other in faces[used])
     others = points[~np.isin(face, faces[used])]
     rest = KDTree(others) if len(others) else None
     return Cut(surfaces, tuple(trees[one] for one in used), side[used], both, rest, within)
@@ -128,9 +128,9 @@ def sharpened(
     """The vertices, those of the rim moved onto the intersections they lie beside, and with which of by (-1 = none)."""
     vertices, edge = vertices.copy(), np.full(len(vertices), -1)
     edge[rim] = by.nearest(vertices[rim])[1]
-    for number in np.unique(edge[edge >= 0]).tolist():
+    for number, surface in enumerate(by.surfaces):
         rows = np.flatnonzero(edge == number)
-        moved, is_there = intersection((primitive, by.surfaces[number]), vertices[rows], within=cell)
+        moved, is_there = intersection((primitive, surface), vertices[rows], within=cell)
         vertices[rows[is_there]], edge[rows[~is_there]] = moved[is_there], -1
     return vertices, edge
 

@@ -195,9 +195,10 @@ def _sharpened(primitive: Primitive, found: Patch, by: edges.Cut, *, cell: float
         vertices[rows], edge[rows] = found.vertices[rows], -1
     faces = found.faces
     one, two = edge[boundary].T
-    for first, second in np.unique(np.sort(edge[boundary[(one >= 0) & (two >= 0) & (one != two)]], axis=1), axis=0):
+    meeting = np.sort(edge[boundary[(one >= 0) & (two >= 0) & (one != two)]], axis=1)
+    for first, second in np.unique(meeting, axis=0):
         rows = boundary[(np.sort(edge[boundary], axis=1) == [first, second]).all(axis=1)]
-        surfaces = (primitive, by.surfaces[first], by.surfaces[second])
+        surfaces = (primitive, by.surfaces[int(first)], by.surfaces[int(second)])
         corner, is_there = edges.intersection(surfaces, vertices[rows].mean(axis=1), within=cell)
         a, b = vertices[rows[:, 0]], vertices[rows[:, 1]]
         turn = np.sum(np.cross(a - b, corner - b) * found.normals[rows[:, 0]], axis=1)

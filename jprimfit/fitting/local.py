@@ -87,7 +87,8 @@ def of_all(
 
     normals, index: of all points, measured or known; else the sample's, and the QUADRIC_NEIGHBORS nearest.
     """
-    index = host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points))).index if index is None else index
+    if index is None:
+        index = np.asarray(host.knn(points, points, k=min(QUADRIC_NEIGHBORS, len(points))).index)
     spacing = float(np.median(np.sqrt(np.square(points[index[:, 1]] - points).sum(axis=1))))
     normals = sample.normal[nearest] if normals is None else normals
     return LocalSurface(index, normals, sample.residual[nearest], sample.core[nearest], spacing, sample.noise)

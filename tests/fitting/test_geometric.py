@@ -75,4 +75,4 @@ def test_thin_walls_under_much_noise_are_no_echoes():
     points = np.concatenate([upper, lower])
     points = points + noise * rng.normal(size=points.shape)
     found = propose(points)
-    assert found.noise == pytest.approx(noise, rel=0.15)
+    assert found.described.noise == pytest.approx(noise, rel=0.15)
