@@ -203,17 +203,16 @@ def _refined(
     neighbors: np.ndarray | None,
     min_points: int,
 ) -> refinement.Segmentation:
-    """The proposal on all points; that for a large cloud is improved on the sample first, in a quarter of the time."""
+    """The proposal on all points, of which a noisy sample need not be described again."""
     surfaces, labels, described = proposal
     if len(thinned) == len(cloud):
         return refinement.refine(cloud, surfaces, labels, described=described, min_points=min_points)
-    surfaces, labels = refinement.assigned(thinned, surfaces, labels, described)
     nearest = nearest_rows(thinned, cloud)
     if growing.is_quiet(described):
         described = local.describe(cloud, normals=measured, noise=described.noise, narrow=True)
     else:
         described = local.of_all(described, nearest, cloud, normals=measured, index=neighbors)
-    return refinement.refine(cloud, surfaces, labels[nearest], described=described, rounds=1, min_points=min_points)
+    return refinement.refine(cloud, surfaces, labels[nearest], described=described, min_points=min_points)
 
 
 def _refitted(

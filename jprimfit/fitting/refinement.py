@@ -8,7 +8,7 @@ whatever was thinned or smoothed for the proposal. Host code; lengths in the nor
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int, Int32
+from jaxtyping import Float64, Int32
 
 from jprimfit.fitting import assignment, final, growing, kinds, local
 from jprimfit.fitting.merging import Surface
@@ -37,51 +37,29 @@ def refine(
     *,
     noise: float | None = None,
     described: local.LocalSurface | None = None,
-    rounds: int = ROUNDS,
     min_points: int = assignment.MIN_FACE,
 ) -> Segmentation:
     """Faces and primitives of a cloud from surfaces and a first guess of each point's surface (-1 = none).
 
     normals: unit, where they were measured. noise: that the surfaces were found under; else it is estimated.
-    described: the points, where that is known; normals and noise then mean nothing. rounds: of assignment and refit.
-    min_points: of a face.
+    described: the points, where that is known; normals and noise then mean nothing. min_points: of a face.
     """
     described = described or local.describe(points, normals=normals, noise=noise, narrow=True)
-    links = assignment.linked(points, described)
-    surfaces, labels = assigned(points, surfaces, labels, described, links=links, rounds=rounds, min_points=min_points)
+    tolerance, links = growing.tolerance(described), assignment.linked(points, described)
+    # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
+    surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
+    for _ in range(ROUNDS):
+        labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
+        labels = assignment.without_specks(links, described, labels, tolerance=tolerance, min_points=min_points)
+        labels = assignment.without_needless(points, described, surfaces, links, labels, tolerance=tolerance)
+        labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
+        surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
     faces, surface_of = assignment.faces(links, labels, min_points=min_points)
     settled = {
         number: final.settled(surfaces[number].primitive, points[surfaces[number].rows])
         for number in np.unique(surface_of).tolist()
     }
     return segmentation(points, described, faces, [settled[number] for number in surface_of.tolist()], surface_of)
-
-
-def assigned(
-    points: Float64[np.ndarray, "n 3"],
-    surfaces: list[Surface],
-    labels: Int32[np.ndarray, " n"],
-    described: local.LocalSurface,
-    *,
-    links: Int[np.ndarray, "n l"] | None = None,
-    rounds: int = 1,
-    min_points: int = assignment.MIN_FACE,
-) -> tuple[list[Surface], Int32[np.ndarray, " n"]]:
-    """The surfaces through the points that turn out to lie on them, and the surface of each point (-1 = none).
-
-    links: of `assignment.linked`, where they are known. rounds: of assignment and refit.
-    """
-    tolerance = growing.tolerance(described)
-    links = assignment.linked(points, described) if links is None else links
-    # A proposal from a smoothed cloud is shrunk: to the raw points first, before any of them is held against it.
-    surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
-    for _ in range(rounds):
-        labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
-        labels = assignment.without_specks(links, described, labels, tolerance=tolerance, min_points=min_points)
-        labels = assignment.without_needless(points, described, surfaces, links, labels, tolerance=tolerance)
-        labels = assignment.assign(points, described, surfaces, labels, tolerance=tolerance)
-        surfaces = [_refit(points, described, labels, number, surface) for number, surface in enumerate(surfaces)]
-    return surfaces, labels
 
 
 def segmentation(
